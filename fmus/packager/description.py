@@ -1,0 +1,88 @@
+"""modelDescription.xml (FMI 2.0) of a model, the same for every packaging."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from uuv.model import Declared, Equations, Scalar
+
+from .units import base_unit
+
+TYPES = {float: "Real", int: "Integer", bool: "Boolean"}
+LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll")
+
+
+def model_description(
+    model: type[Declared], name: str, guid: str, tool: str, equations: Equations | None, capabilities: dict[str, bool]
+) -> bytes:
+    """The XML file.  `equations`: None for a plain Python model, whose dependencies nobody knows: then all count."""
+    scalars = model.layout().scalars
+    index = {scalar.name: i for i, scalar in enumerate(scalars, start=1)}
+    root = ET.Element(
+        "fmiModelDescription", fmiVersion="2.0", modelName=name, guid=guid, description=_summary(model),
+        generationTool=tool, variableNamingConvention="structured",
+    )  # fmt: skip
+    options = {option: str(value).lower() for option, value in capabilities.items()}
+    ET.SubElement(root, "CoSimulation", modelIdentifier=name, **options)
+    units = ET.SubElement(root, "UnitDefinitions")
+    for unit in sorted({s.unit for s in scalars if s.type is float}):
+        attributes = {key: f"{value:.17g}" for key, value in base_unit(unit).items()}
+        ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", attributes)
+    categories = ET.SubElement(root, "LogCategories")
+    for category in LOG_CATEGORIES:
+        ET.SubElement(categories, "Category", name=category)
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize="0.001")
+    variables = ET.SubElement(root, "ModelVariables")
+    for scalar in scalars:
+        variables.append(_variable(scalar))
+    structure = ET.SubElement(root, "ModelStructure")
+    shown = [s for s in scalars if s.causality == "output"]
+    calculated = [s for s in scalars if s.causality in ("output", "calculatedParameter")]
+    for section, unknowns in (("Outputs", shown), ("InitialUnknowns", calculated)):
+        if unknowns:
+            element = ET.SubElement(structure, section)
+            for scalar in unknowns:
+                known = None
+                if equations is not None:
+                    kind = equations.dependencies["outputs" if section == "Outputs" else "initial"]
+                    known = sorted(index[other] for other in kind[scalar.name])
+                _unknown(element, index[scalar.name], known)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _variable(scalar: Scalar) -> ET.Element:
+    fixed = scalar.causality in ("parameter", "calculatedParameter")
+    continuous = scalar.type is float
+    element = ET.Element(
+        "ScalarVariable", name=scalar.name, valueReference=str(scalar.place), causality=scalar.causality,
+        variability="fixed" if fixed else "continuous" if continuous else "discrete",
+    )  # fmt: skip
+    if scalar.meaning:
+        element.set("description", scalar.meaning)
+    value: dict[str, Any] = {}
+    if scalar.causality in ("parameter", "input"):
+        number = scalar.type(scalar.start)
+        value["start"] = repr(number) if continuous else str(number).lower()
+        if scalar.causality == "parameter":
+            element.set("initial", "exact")
+    else:
+        element.set("initial", "calculated")
+    if continuous:
+        value["unit"] = scalar.unit
+    ET.SubElement(element, TYPES[scalar.type], value)
+    return element
+
+
+def _unknown(parent: ET.Element, index: int, dependencies: list[int] | None) -> None:
+    element = ET.SubElement(parent, "Unknown", index=str(index))
+    if dependencies is not None:
+        element.set("dependencies", " ".join(map(str, dependencies)))
+
+
+def _summary(model: type) -> str:
+    """The first paragraph of the docstring, without its line breaks."""
+    text = inspect.getdoc(model) or model.__name__
+    return " ".join(text.partition("\n\n")[0].split())

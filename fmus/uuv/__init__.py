@@ -1,0 +1,29 @@
+"""What a model of an underwater vehicle, or of its controller, is written with.
+
+    from uuv import ETA, NU, TAU, Input, Model, Output, Parameter, State    # equations in CasADi
+    from uuv import PythonModel                                             # plain Python and numpy
+"""
+
+from .model import Calculated, Input, Model, Output, Parameter, State
+from .python_model import PythonModel
+from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, SPECIFIC_FORCE, TAU, V_C, Signal, U
+
+__all__ = [
+    "ETA",
+    "ETA_D",
+    "ETA_D_DDOT",
+    "ETA_D_DOT",
+    "NU",
+    "SPECIFIC_FORCE",
+    "TAU",
+    "V_C",
+    "Calculated",
+    "Input",
+    "Model",
+    "Output",
+    "Parameter",
+    "PythonModel",
+    "Signal",
+    "State",
+    "U",
+]  # fmt: skip

@@ -1,0 +1,24 @@
+"""Models in plain Python: the declarations of `uuv.model`, and `do_step` with numpy instead of equations."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+from .model import Declared
+
+
+class PythonModel(Declared):
+    """A model that computes with numpy; in its methods the declared names are arrays (floats where scalar).
+
+    Whatever else an instance keeps on `self` is saved and restored with the state of the FMU.
+    """
+
+    def initialize(self) -> None:
+        """Called once, when parameters and inputs of the start are known."""
+
+    @abstractmethod
+    def do_step(self, t: float, h: float) -> bool | None:
+        """Step from t to t + h [s]: set outputs and states.  Return False to end the simulation.
+
+        The outputs at the start of a run are those of a step with h = 0 after which everything else is put back.
+        """

@@ -1,0 +1,42 @@
+"""The signals that components exchange: axes, units and meaning, declared once for every model.
+
+A vector signal `eta` becomes the FMI variables `eta.x`, `eta.y`, ...  Frames: NED (x north, y east, z down)
+and BODY (x forward, y starboard, z down); symbols after SNAME and Fossen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named set of axes.  `axes`: () for a scalar.  `units`: one for all axes, or one an axis."""
+
+    axes: tuple[str, ...]
+    units: str | tuple[str, ...]
+    meaning: str
+
+
+POSE = ("x", "y", "z", "phi", "theta", "psi")
+
+
+def linear_and_angular(linear: str, angular: str) -> tuple[str, ...]:
+    """Units of six axes: three along, three about x, y and z."""
+    return (linear,) * 3 + (angular,) * 3
+
+
+ETA = Signal(POSE, linear_and_angular("m", "rad"), "position in NED and zyx Euler angles")
+ETA_D = Signal(POSE, ETA.units, "desired position in NED and zyx Euler angles")
+ETA_D_DOT = Signal(POSE, linear_and_angular("m/s", "rad/s"), "desired velocity in NED and Euler rates")
+ETA_D_DDOT = Signal(POSE, linear_and_angular("m/s2", "rad/s2"), "desired acceleration in NED and of the Euler angles")
+NU = Signal(("u", "v", "w", "p", "q", "r"), linear_and_angular("m/s", "rad/s"), "velocity in BODY")
+TAU = Signal(("X", "Y", "Z", "K", "M", "N"), linear_and_angular("N", "N.m"), "generalized force in BODY")
+U = Signal(("T1", "T2", "T3", "T4", "T5", "T6"), "1", "normalized thruster command, -1 to 1")
+V_C = Signal(("x", "y", "z"), "m/s", "current velocity in NED")
+SPECIFIC_FORCE = Signal(("x", "y", "z"), "m/s2", "specific force in BODY: what an accelerometer at its origin reads")
+
+# Units of gains: generalized force per error of pose, per its rate, per its integral.
+FORCE_PER_POSE = linear_and_angular("N/m", "N.m/rad")
+FORCE_PER_RATE = linear_and_angular("N.s/m", "N.m.s/rad")
+FORCE_PER_INTEGRAL = linear_and_angular("N/m/s", "N.m/rad/s")

@@ -1,0 +1,243 @@
+"""A model as the Python slave that pythonfmu's library drives: the FMI 2.0 calls, by value reference.
+
+The library finds a class in the FMU's main script and calls its methods; this is pythonfmu's `Fmi2Slave` with getters
+and setters over one flat memory, at a tenth of the cost of one Python call per variable.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from .model import GROUPS, Declared, Equations, Layout, Model, trace
+from .python_model import PythonModel
+
+ERROR = 3  # fmi2Error
+
+
+@dataclass
+class LogMessage:
+    """What pythonfmu's library hands to the FMI logger."""
+
+    status: int
+    category: str
+    msg: str
+    debug: bool = False
+
+
+class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
+    """One instance.  `model_class`: the model; the keywords are those pythonfmu's library gives."""
+
+    def __init__(self, model_class: type[Declared], instance_name: str = "", **_: Any):
+        self.instance_name = instance_name
+        self.layout = model_class.layout()
+        self.memory = np.array(self.layout.start())
+        self._known: dict[tuple[int, ...], Any] = {}
+        self._zeros = np.zeros(self.layout.size)
+        self._log: list[LogMessage] = []
+        self._initializing = True
+        self._stale = True
+        self._core = (
+            _EquationsCore(model_class, self.memory)
+            if issubclass(model_class, Model)
+            else _PythonCore(model_class, self.memory)
+        )
+
+    def setup_experiment(self, start_time: float, *_: Any) -> None:
+        self.memory[0] = start_time
+
+    def enter_initialization_mode(self) -> None:
+        self._stale = True
+
+    def exit_initialization_mode(self) -> None:
+        self._refresh()
+        self._initializing = False
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        goes_on = self._core.step(current_time, step_size)
+        if math.isnan(self.memory.dot(self._zeros)):  # 0 * inf and 0 * nan are nan
+            raise ValueError(self._not_finite())
+        return goes_on
+
+    def terminate(self) -> None:
+        pass
+
+    def get_real(self, references: list[int]) -> list[float]:
+        if self._initializing and self._stale:
+            self._refresh()
+        values: list[float] = self.memory[self._places(references)].tolist()
+        return values
+
+    def set_real(self, references: list[int], values: list[float]) -> None:
+        self._stale = True
+        self.memory[self._places(references)] = values
+
+    def _places(self, references: list[int]) -> Any:
+        """An index of the memory; a master asks for the same few sets of variables all along."""
+        key = tuple(references)
+        places = self._known.get(key)
+        if places is None:
+            block = slice(references[0], references[0] + len(references)) if references else slice(0)
+            is_block = key == tuple(range(block.start or 0, block.stop))
+            places = self._known[key] = block if is_block else np.array(references)
+        return places
+
+    set_integer = set_boolean = set_real
+
+    def get_integer(self, references: list[int]) -> list[int]:
+        return [int(value) for value in self.get_real(references)]
+
+    def get_boolean(self, references: list[int]) -> list[bool]:
+        return [value != 0.0 for value in self.get_real(references)]
+
+    def get_string(self, references: list[int]) -> list[str]:
+        raise TypeError("the model has no strings")
+
+    set_string = get_string
+
+    def _refresh(self) -> None:
+        self._core.initialize()
+        self._stale = False
+
+    def _not_finite(self) -> str:
+        """The first variable that is not finite, inputs before what they spoil."""
+        for kind in ("parameter", "input", "state", "output"):
+            for scalar in self.layout.scalars:
+                places = self.layout.groups[kind]
+                if places.start <= scalar.place < places.stop and not math.isfinite(self.memory[scalar.place]):
+                    return f"{kind} {scalar.name} is not finite: {self.memory[scalar.place]}"
+        return "a calculated parameter is not finite"
+
+    def _get_log_queue(self) -> list[LogMessage]:
+        return self._log
+
+    def _get_fmu_state(self) -> dict[str, Any]:
+        return {
+            "memory": self.memory.tobytes(), "own": self._core.own_state(),
+            "initializing": self._initializing, "stale": self._stale,
+        }  # fmt: skip
+
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        self.memory[:] = np.frombuffer(state["memory"])
+        self._core.restore(state["own"])
+        self._initializing, self._stale = state["initializing"], state["stale"]
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
+        return pickle.dumps(state)
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
+        return pickle.loads(state)
+
+
+@cache
+def _traced(model_class: type[Model]) -> Equations:
+    return trace(model_class)
+
+
+class _EquationsCore:
+    """Steps a model given as equations, through CasADi's virtual machine."""
+
+    def __init__(self, model_class: type[Model], memory: Any):
+        equations = _traced(model_class)
+        groups = equations.layout.groups
+        self._memory = memory
+        self._head = memoryview(memory)  # writes single numbers faster than an array
+        self._calculate = _buffered(equations.calculate, memory, memory[groups["calculated"]])
+        self._initial = _buffered(equations.initial, memory, memory[groups["state"]])
+        self._tail = memory[groups["state"].start :]
+        self._result = np.zeros(self._tail.size)
+        self._step = _buffered(equations.step, memory, self._result)
+        self._outputs = slice(groups["state"].stop - groups["state"].start, None)
+
+    def initialize(self) -> None:
+        self._memory[1] = 0.0
+        self._calculate()
+        self._initial()
+        self._step()
+        self._tail[self._outputs] = self._result[self._outputs]
+
+    def step(self, t: float, h: float) -> bool:
+        self._head[0], self._head[1] = t, h
+        self._step()
+        self._tail[:] = self._result
+        return True
+
+    def own_state(self) -> None:
+        """Nothing: the memory holds every state."""
+
+    def restore(self, own: None) -> None:
+        pass
+
+
+class _PythonCore:
+    """Steps a model given as `do_step`."""
+
+    def __init__(self, model_class: type[PythonModel], memory: Any):
+        self._memory, self._layout = memory, model_class.layout()
+        self._model = model_class()
+        self._declared = {v.name for v in self._layout.variables}
+        self._start = memory.copy()
+        self._new = self.own_state()
+
+    def initialize(self) -> None:
+        # In initialization mode this runs again whenever inputs change, and begins from the same place each time.
+        self.restore(self._new)
+        states = self._layout.groups["state"]
+        self._memory[states] = self._start[states]
+        _show(self._model, self._memory, self._layout, GROUPS)
+        self._model.initialize()
+        _store(self._model, self._memory, self._layout, ("calculated", "state"))
+        _show(self._model, self._memory, self._layout, ("calculated", "state"))
+        kept, own = self._memory[states].copy(), self.own_state()
+        self._model.do_step(self._memory[0], 0.0)
+        _store(self._model, self._memory, self._layout, ("output",))
+        self._memory[states] = kept
+        self.restore(own)
+
+    def step(self, t: float, h: float) -> bool:
+        _show(self._model, self._memory, self._layout, ("input", "state"))
+        goes_on = self._model.do_step(t, h)
+        _store(self._model, self._memory, self._layout, ("state", "output"))
+        return goes_on is not False
+
+    def own_state(self) -> dict[str, Any]:
+        return copy.deepcopy({k: v for k, v in vars(self._model).items() if k not in self._declared})
+
+    def restore(self, own: dict[str, Any]) -> None:
+        for name in vars(self._model).keys() - self._declared:
+            delattr(self._model, name)
+        vars(self._model).update(copy.deepcopy(own))
+
+
+def _buffered(function: Any, memory: Any, result: Any) -> Any:
+    """A call without arguments that evaluates `function` on the head of `memory` into `result`."""
+    buffer, evaluate = function.buffer()
+    head = memory[: function.numel_in()]
+    buffer.set_arg(0, memoryview(head))
+    buffer.set_res(0, memoryview(result))
+    evaluate.buffer = buffer  # keeps it alive as long as the call
+    return evaluate
+
+
+def _show(model: Any, memory: Any, layout: Layout, groups: tuple[str, ...]) -> None:
+    for group in groups:
+        for v in layout.of(group):
+            values = memory[layout.places[v.name]]
+            setattr(model, v.name, values.reshape(v.shape, order="F") if v.shape else v.type(values[0]))
+
+
+def _store(model: Any, memory: Any, layout: Layout, groups: tuple[str, ...]) -> None:
+    for group in groups:
+        for v in layout.of(group):
+            values = np.asarray(getattr(model, v.name), dtype=float)
+            if values.shape not in (v.shape, ()):
+                raise ValueError(f"{v.name} has shape {v.shape}, do_step made it {values.shape}")
+            memory[layout.places[v.name]] = values.ravel(order="F") if values.shape else float(values)

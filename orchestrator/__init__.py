@@ -1,0 +1,31 @@
+"""orch: a co-simulation bench for underwater-vehicle control.
+
+    import orchestrator as orch
+    run = orch.run("experiments/gripping_currents.toml", set={"master.stop_time": 10.0})
+    run["vehicle1.eta.x"]          # numpy array; run["vehicle1.eta"] is (N, 6)
+    run.to_dataframe()             # pandas, indexed by time
+    orch.open_run("last")
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from .errors import ExperimentError, FmuError, OrchError, RunError, StoreError
+
+if TYPE_CHECKING:
+    from .runner import run
+    from .store import Run, open_run
+
+__all__ = ["ExperimentError", "FmuError", "OrchError", "Run", "RunError", "StoreError", "open_run", "run"]
+__version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Import the rest when it is asked for: the command line needs little of it, and fast."""
+    import importlib
+
+    homes = {"run": "runner", "Run": "store", "open_run": "store"}
+    if name not in homes:
+        raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
+    return getattr(importlib.import_module(f".{homes[name]}", __name__), name)

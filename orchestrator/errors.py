@@ -1,0 +1,71 @@
+"""What can go wrong, as a tree.
+
+    OrchError                 everything a user can cause or meet; its text is a sentence for him
+      ExperimentError         the experiment file or its FMUs do not fit: nothing was started (exit 2)
+      FmuError                one FMU cannot be read, built or loaded (exit 2)
+      StoreError              a record cannot be found, read or written (exit 2)
+      RunError                the run itself failed; `.run` is open on the record (exit 3)
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .store import Run
+
+
+class OrchError(Exception):
+    """A sentence that says where, what, and what would do."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that does not fit.  `key`: the dotted key in the file, "" for the file as a whole."""
+
+    key: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.key}: {self.sentence}" if self.key else self.sentence
+
+
+class ExperimentError(OrchError):
+    """All problems of one file at once.  `.problems`: the list."""
+
+    def __init__(self, path: object, problems: Sequence[Problem]):
+        self.path, self.problems = str(path), list(problems)
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        super().__init__("\n  ".join([f"{path}: {count}", *map(str, problems)]))
+
+
+class FmuError(OrchError):
+    pass
+
+
+class StoreError(OrchError):
+    pass
+
+
+class RunError(OrchError):
+    exit_code = 3
+
+    def __init__(self, message: str, run: Run | None = None):
+        super().__init__(message)
+        self.run = run
+
+
+def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:
+    """ "; did you mean 'eta'?  known: eta, nu" or what of it there is to say."""
+    choices = list(choices)
+    near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    if not choices:
+        return f"{hint} there is none" if near else ""
+    shown = ", ".join(choices[:12]) + (", ..." if len(choices) > 12 else "")
+    return f"{hint} {what}: {shown}"

@@ -1,0 +1,208 @@
+"""One FMU file: what it says of itself, and whether it can run here.  No binary is loaded."""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from .errors import FmuError
+
+MAX_SIZE = 4 << 30  # bytes of all files of an archive together
+MAX_RATIO = 200  # unpacked to packed
+
+KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One FMI variable."""
+
+    name: str
+    reference: int
+    type: str  # FMI's: Real, Integer, Boolean, String, Enumeration
+    causality: str
+    unit: str
+    start: Any
+    description: str
+    feedthrough: bool  # an output that depends on an input of the same instant, as far as the FMU says
+    items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
+
+    @property
+    def kind(self) -> str:
+        """Which of FMI 2.0's getters and setters it takes: real, integer, boolean or string."""
+        return KINDS[self.type]
+
+
+@dataclass(frozen=True)
+class Fmu:
+    """An FMU 2.0 for co-simulation."""
+
+    path: Path
+    sha256: str
+    fmi_version: str
+    model_name: str
+    description: str
+    guid: str
+    model_identifier: str
+    tool: str
+    packaging: str  # "python" or "native"
+    once_per_process: bool
+    capabilities: Mapping[str, bool]
+    variables: Mapping[str, Variable]
+    units: Mapping[str, Any]  # {unit: exponents, factor, offset}
+    python_modules: Mapping[str, str]  # {top-level module a Python FMU brings: digest}
+
+    @cached_property
+    def vectors(self) -> dict[str, dict[str, Variable]]:
+        """{name: {axis: variable}}: variables `name.axis` or `name[i]` that share causality, in the FMU's order."""
+        found: dict[str, dict[str, Variable]] = {}
+        for variable in self.variables.values():
+            name, axis = split_axis(variable.name)
+            if axis and name not in self.variables:
+                found.setdefault(name, {})[axis] = variable
+        return {n: axes for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
+
+    def lookup(self, name: str) -> dict[str, Variable]:
+        """{axis: variable} of a vector, {"": variable} of a scalar, {} of neither."""
+        if name in self.variables:
+            return {"": self.variables[name]}
+        return self.vectors.get(name, {})
+
+    def names(self, causality: str) -> list[str]:
+        """Vectors and scalars of one causality, a vector once."""
+        found: dict[str, None] = {}
+        for variable in self.variables.values():
+            if variable.causality == causality:
+                vector = split_axis(variable.name)[0]
+                found[vector if vector in self.vectors else variable.name] = None
+        return list(found)
+
+
+def split_axis(name: str) -> tuple[str, str]:
+    """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""
+    if name.endswith("]"):
+        head, _, axis = name[:-1].rpartition("[")
+        return head, axis
+    head, _, axis = name.rpartition(".")
+    return (head, axis) if head else (name, "")
+
+
+def read(path: Path) -> Fmu:
+    """Read and check an FMU.  Raises FmuError, with a sentence, for anything that cannot run here."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = _checked_names(path, archive)
+            modules = dict(_python_modules(archive, names))
+    except zipfile.BadZipFile:
+        raise FmuError(f"{path} is no FMU: not a zip file") from None
+    if "modelDescription.xml" not in names:
+        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml")
+    description = _description(path)
+    version = str(description.fmiVersion)
+    if not version.startswith("2."):
+        raise FmuError(f"{path} is FMI {version}; orch runs FMI 2.0")
+    slave = description.coSimulation
+    if slave is None:
+        raise FmuError(f"{path} has no co-simulation interface, only Model Exchange; export it for Co-Simulation")
+    _check_binary(path, names, slave.modelIdentifier)
+    return Fmu(
+        path, hashlib.sha256(content).hexdigest(), version, description.modelName, description.description or "",
+        description.guid, slave.modelIdentifier, description.generationTool or "",
+        "python" if "resources/slavemodule.txt" in names else "native",
+        bool(slave.canBeInstantiatedOnlyOncePerProcess),
+        {name: bool(getattr(slave, name)) for name in ("canGetAndSetFMUstate", "canSerializeFMUstate",
+                                                        "providesDirectionalDerivative", "needsExecutionTool")},
+        dict(_variables(description)), dict(_units(description)), modules,
+    )  # fmt: skip
+
+
+def unpack(fmu: Fmu, folder: Path) -> None:
+    """Unpack the archive, checked by `read`, into `folder`."""
+    with zipfile.ZipFile(fmu.path) as archive:
+        archive.extractall(folder)
+
+
+def platform_folder() -> tuple[str, str]:
+    """FMI 2.0's name of this platform, and the suffix of its shared libraries."""
+    if sys.platform.startswith("win"):
+        return "win64", ".dll"
+    return ("darwin64", ".dylib") if sys.platform == "darwin" else ("linux64", ".so")
+
+
+def _checked_names(path: Path, archive: zipfile.ZipFile) -> set[str]:
+    total = 0
+    for entry in archive.infolist():
+        parts = PurePosixPath(entry.filename.replace("\\", "/"))
+        if parts.is_absolute() or ".." in parts.parts or ":" in entry.filename or "\\" in entry.filename:
+            raise FmuError(f"{path} would write outside its folder: {entry.filename!r}; not opened")
+        if stat.S_ISLNK(entry.external_attr >> 16):
+            raise FmuError(f"{path} contains the link {entry.filename!r}; not opened")
+        total += entry.file_size
+        if total > MAX_SIZE or entry.file_size > max(entry.compress_size, 1 << 20) * MAX_RATIO:
+            raise FmuError(f"{path} unpacks to an absurd size at {entry.filename!r}; not opened")
+    return set(archive.namelist())
+
+
+def _description(path: Path) -> Any:
+    from fmpy import read_model_description
+
+    try:
+        return read_model_description(path, validate=False)
+    except Exception as error:  # FMPy raises whatever its XML reader meets
+        text = " ".join(str(error).split())
+        raise FmuError(f"{path}: modelDescription.xml cannot be read: {text or type(error).__name__}") from None
+
+
+def _check_binary(path: Path, names: set[str], identifier: str) -> None:
+    folder, suffix = platform_folder()
+    if f"binaries/{folder}/{identifier}{suffix}" in names:
+        return
+    has = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
+    raise FmuError(f"{path} has no binary for this platform ({folder}); it has {', '.join(has) or 'none'}")
+
+
+def _python_modules(archive: zipfile.ZipFile, names: set[str]) -> Iterator[tuple[str, str]]:
+    """Top-level modules that a Python FMU puts on the path of the process, with a digest of their source."""
+    if "resources/slavemodule.txt" not in names:
+        return
+    digests: dict[str, Any] = {}
+    for name in sorted(names):
+        parts = PurePosixPath(name).parts
+        if len(parts) > 1 and parts[0] == "resources" and name.endswith(".py"):
+            module = parts[1].removesuffix(".py")
+            digests.setdefault(module, hashlib.sha256()).update(name.encode() + archive.read(name))
+    for module, digest in digests.items():
+        yield module, digest.hexdigest()
+
+
+def _variables(description: Any) -> Iterator[tuple[str, Variable]]:
+    unknowns = {id(u.variable): u for u in description.outputs}
+    for v in description.modelVariables:
+        unknown = unknowns.get(id(v))
+        dependencies = unknown.dependencies if unknown is not None else None
+        # FMI 2.0, 2.2.8: without a list of dependencies, an unknown depends on all inputs.
+        feedthrough = dependencies is None or any(d.causality == "input" for d in dependencies)
+        declared = v.declaredType
+        items = tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else ()
+        unit = v.unit or (declared.unit if declared is not None else None) or ""
+        yield v.name, Variable(v.name, v.valueReference, v.type, v.causality or "local", unit, v.start,
+                               v.description or "", v.causality == "output" and feedthrough, items)  # fmt: skip
+
+
+def _units(description: Any) -> Iterator[tuple[str, Any]]:
+    for unit in description.unitDefinitions or ():
+        base = unit.baseUnit
+        if base is not None:
+            exponents = tuple(getattr(base, n) or 0 for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"))
+            yield unit.name, (exponents, float(base.factor), float(base.offset))

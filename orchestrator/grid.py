@@ -1,0 +1,27 @@
+"""Simulated time on an integer grid: exact ratios, no running sums."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+
+class Grid:
+    """Communication points k * step.  `step`: s, taken as the decimal number it is written as."""
+
+    def __init__(self, step: float):
+        self.step = step
+        self._exact = Fraction(repr(step))
+
+    def ticks(self, duration: float) -> int | None:
+        """How many steps `duration` [s] is, or None where that is no whole number."""
+        ratio = Fraction(repr(duration)) / self._exact
+        return int(ratio) if ratio.denominator == 1 else None
+
+    def nearest(self, duration: float) -> list[float]:
+        """The multiples of the step around `duration` [s], at least one step each."""
+        below = max(1, int(Fraction(repr(duration)) / self._exact))
+        return [self.time(below), self.time(below + 1)]
+
+    def time(self, k: int) -> float:
+        """k * step [s], rounded once."""
+        return k * self._exact.numerator / self._exact.denominator

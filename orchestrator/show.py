@@ -1,0 +1,161 @@
+"""What commands print: tables for people, JSON for scripts."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from . import metrics
+from .errors import ExperimentError, OrchError
+from .fmu import Fmu, split_axis
+from .runner import Result
+from .store import finite
+from .wiring import Plan
+
+WIDTH = 80
+
+
+def result(result: Result, plan: Plan) -> str:
+    """A finished run."""
+    head = f"{plan.experiment.path.stem} {result.run_id}: {result.status}"
+    if not result.repeated:
+        head += ", already in the store (--force runs it again)"
+    if result.stopped_at is not None:
+        head += f"; an FMU ended it at t = {result.stopped_at:.10g} s"
+    lines = [
+        head,
+        f"  file              {os.path.relpath(result.file)}",
+        f"  wall time         {result.wall_time:.4g} s",
+        f"  real-time factor  {result.real_time_factor:.4g}",
+    ]
+    if result.metrics:
+        units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
+        rows = []
+        for name, value in result.metrics.items():
+            unit = metrics.unit_of(plan.experiment.metrics[name], units)
+            shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
+            rows.append((name, shown, "" if unit == "1" else unit))
+        lines += ["  metrics", *_table(rows, indent=4)]
+    return "\n".join(lines)
+
+
+def _why_not(value: float) -> str:
+    return "no sample in its window" if math.isnan(value) else "never"
+
+
+def result_as_json(result: Result) -> dict[str, Any]:
+    return {
+        "run_id": result.run_id, "file": str(result.file), "status": result.status, "wall_time": result.wall_time,
+        "real_time_factor": result.real_time_factor, "metrics": finite(result.metrics),
+        "warnings": list(result.warnings), "error": result.error,
+    }  # fmt: skip
+
+
+def not_started(error: OrchError) -> dict[str, Any]:
+    """The JSON of a run that did not begin, or whose record could not be kept."""
+    empty = dict.fromkeys(("run_id", "file", "wall_time", "real_time_factor"))
+    status = "not started" if error.exit_code == 2 else "failed"
+    return {**empty, "status": status, "metrics": {}, "warnings": [], "error": str(error)}
+
+
+def problems_as_json(error: ExperimentError) -> dict[str, Any]:
+    return {"experiment": error.path, "problems": [{"key": p.key, "problem": p.sentence} for p in error.problems]}
+
+
+def plan(plan: Plan) -> str:
+    """The resolved system, as `orch check` prints it."""
+    master, record = plan.experiment.master, plan.experiment.record
+    rows = [("component", "fmu", "packaging", "steps every", "fed by")]
+    for part in plan.parts:
+        sources = dict.fromkeys(link.source for link in plan.links if link.sink == part.name)
+        step = plan.experiment.grid.time(part.period)
+        rows.append((part.name, part.fmu_name, part.fmu.packaging, f"{step:g} s", " ".join(sources) or "-"))
+    scalars = f"{len(plan.links)} scalar connections"
+    lines = [
+        f"{plan.experiment.path}: no problems",
+        f"  {master.stop_time:g} s in {plan.steps} steps of {master.step:g} s, {master.algorithm}; {scalars}",
+        f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
+        *(f"  note: {note}" for note in plan.notes),
+        "",
+        *_table(rows, indent=2),
+    ]
+    return "\n".join(lines)
+
+
+def plan_as_json(plan: Plan) -> dict[str, Any]:
+    return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, **plan.resolved}
+
+
+def fmus(found: Sequence[Fmu]) -> str:
+    """The list of FMUs."""
+    rows = [("fmu", "packaging", "what it is")]
+    rows += [(f.model_name, f.packaging, f.description) for f in found]
+    return "\n".join(_table(rows, cut=True))
+
+
+def fmu(fmu: Fmu) -> str:
+    """One FMU: its variables, vectors on one line."""
+    able = [name for name, has in fmu.capabilities.items() if has]
+    lines = [
+        f"{fmu.model_name}: {fmu.description}",
+        f"  file          {os.path.relpath(fmu.path)}",
+        f"  sha256        {fmu.sha256}",
+        f"  FMI           {fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})",
+        f"  capabilities  {', '.join(able) or 'none'}",
+    ]
+    for causality in ("input", "output", "parameter", "calculatedParameter", "local"):
+        rows = [_variable(fmu, name) for name in fmu.names(causality)]
+        if rows:
+            title = "calculated parameters" if causality == "calculatedParameter" else f"{causality}s"
+            lines += ["", title, *_table(rows, indent=2, cut=True)]
+    return "\n".join(lines)
+
+
+def _variable(fmu: Fmu, name: str) -> tuple[str, ...]:
+    found = fmu.lookup(name)
+    axes = list(found)
+    variables = list(found.values())
+    units = list(dict.fromkeys(v.unit for v in variables if v.unit))
+    shown = name if axes == [""] else f"{name}[{axes[-1]}]" if axes[0][0].isdigit() else f"{name} ({' '.join(axes)})"
+    starts = [_number(v.start) for v in variables if v.start is not None]
+    start = starts[0] if len(set(starts)) == 1 else " ".join(starts)
+    meaning = variables[0].description
+    if split_axis(variables[0].name)[1]:
+        meaning = meaning.partition(": ")[2] or meaning
+    return shown, start, ", ".join(units) if units != ["1"] else "", meaning
+
+
+def _number(start: Any) -> str:
+    try:
+        return f"{float(start):g}"
+    except ValueError:  # a text, true or false
+        return str(start)
+
+
+def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
+    return {
+        "name": fmu.model_name, "description": fmu.description, "file": str(fmu.path), "sha256": fmu.sha256,
+        "fmi_version": fmu.fmi_version, "packaging": fmu.packaging, "tool": fmu.tool,
+        "capabilities": dict(fmu.capabilities),
+        "variables": [
+            {"name": v.name, "type": v.type, "causality": v.causality, "unit": v.unit, "start": v.start,
+             "description": v.description}
+            for v in fmu.variables.values()
+        ],
+    }  # fmt: skip
+
+
+def _table(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) -> list[str]:
+    """Columns as wide as they need; `cut` shortens the last one to the terminal."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
+    lines = []
+    for row in rows:
+        line = " " * indent + "".join(cell.ljust(width + 2) for cell, width in zip(row, widths, strict=False)) + row[-1]
+        if cut and len(line) > WIDTH:
+            line = line[: WIDTH - 3].rstrip() + "..."
+        lines.append(line.rstrip())
+    return lines
+
+

@@ -1,0 +1,313 @@
+"""The live system: instances of the FMUs, and one table of values that they read from and write to.
+
+Every scalar that somebody reads, writes or records has a place in a table of its kind (real, integer, boolean, string):
+first the outputs of the components, in order, then their inputs.  Arguments of the FMI calls are built once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import FmuError
+from .fmu import Fmu, Variable, unpack
+from .instance import CallFailed, Instance
+from .wiring import Part, Plan
+
+DTYPES = {"real": np.float64, "integer": np.int32, "boolean": np.int32, "string": object}
+KINDS = tuple(DTYPES)
+
+Action = Callable[[], Any]
+
+_loaded_modules: dict[str, tuple[str, Path]] = {}  # by Python FMUs of this process: digest and FMU
+
+
+@dataclass
+class Member:
+    """A component in the loop, with the calls that the loop makes, their arguments already built.
+
+    Each step: `gathers` (table to input buffers), `sets`, `step`, `gets`, `at_once`.  `at_tick_end` follows when all
+    components of the tick have stepped, `at_period_end` when its own step has ended: see `master`.
+    """
+
+    part: Part
+    instance: Instance
+    h: ctypes.c_double
+    gathers: list[Action] = field(default_factory=list)
+    sets: list[Action] = field(default_factory=list)
+    gets: list[Action] = field(default_factory=list)
+    at_once: list[Action] = field(default_factory=list)
+    at_tick_end: list[Action] = field(default_factory=list)
+    at_period_end: list[Action] = field(default_factory=list)
+    staged: list[Action] = field(default_factory=list)  # all of what it has computed into the table
+    sums: list[Action] = field(default_factory=list)  # nan where a staged value is not finite
+    outputs: list[Variable] = field(default_factory=list)  # its real outputs, and where `gets` write them
+    values: Any = ()
+
+    def __post_init__(self) -> None:
+        self.step = partial(self.instance.function("fmi2DoStep"), ctypes.c_void_p(self.instance.component))
+
+    def not_finite(self) -> str:
+        """The first real output that is not finite, as a sentence, or ""."""
+        for variable, value in zip(self.outputs, self.values, strict=True):
+            if not math.isfinite(value):
+                return f"{variable.causality} {variable.name} is not finite: {value}"
+        return ""
+
+
+class System:
+    """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
+    outputs; `recorded`: {kind: places}."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        self.members: list[Member] = []
+        self.tables: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
+        self._names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
+        self._folder = tempfile.TemporaryDirectory(prefix="orch-", ignore_cleanup_errors=True)
+        try:
+            self._instantiate()
+            self._wire()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, plan: Plan) -> Iterator[System]:
+        """Instantiate the FMUs; frees them at the end.  Raises FmuError where one cannot be instantiated."""
+        system = cls(plan)
+        try:
+            yield system
+        finally:
+            system.close()
+
+    def close(self) -> None:
+        for member in self.members:
+            member.instance.close()
+        sys.path[:] = [p for p in sys.path if not p.startswith(self._folder.name)]
+        self._folder.cleanup()
+
+    def initialize(self) -> None:
+        """Initialization mode: parameters, start values, and sweeps until the outputs agree with the inputs.
+
+        Raises MemberFailed, or AlgebraicLoop where 100 sweeps do not settle.
+        """
+        stop_time = self.plan.experiment.master.stop_time
+        for member in self.members:
+            part = member.part
+            fits = self.plan.steps % part.period == 0  # else its last step ends beyond the stop time
+            with failing(member):
+                member.instance.setup(stop_time if fits else None, {**part.parameters, **part.start})
+        for _ in range(100):
+            before = [table.copy() for table in self.tables.values()]
+            for member in self.members:
+                self._exchange(member)
+            changed = [
+                name
+                for kind, old in zip(self.tables, before, strict=True)
+                for name, a, b in zip(self._names[kind], old, self.tables[kind], strict=True)
+                if a != b and a == a  # a nan is reported below as what it is
+            ]
+            if not changed:
+                break
+        else:
+            raise AlgebraicLoop(changed)
+        for member in self.members:
+            with failing(member):
+                member.instance.call("fmi2ExitInitializationMode")
+        for member in self.members:
+            self._read(member)
+            if member.not_finite():
+                raise MemberFailed(member, member.not_finite())
+
+    def _exchange(self, member: Member) -> None:
+        for gather in member.gathers:
+            gather()
+        with failing(member):
+            for set_ in member.sets:
+                member.instance.check(set_())
+        self._read(member)
+
+    def _read(self, member: Member) -> None:
+        with failing(member):
+            for get in member.gets:
+                member.instance.check(get())
+        for publish in member.staged:
+            publish()
+
+    def _instantiate(self) -> None:
+        folders: dict[Path, Path] = {}
+        master = self.plan.experiment.master
+        for part in self.plan.parts:
+            if part.fmu.path not in folders:
+                folders[part.fmu.path] = Path(self._folder.name) / str(len(folders)) / part.fmu.model_identifier
+                unpack(part.fmu, folders[part.fmu.path])
+            _claim_modules(part.fmu)
+            instance = Instance(part.name, part.fmu, folders[part.fmu.path])
+            h = self.plan.experiment.grid.time(part.period) if part.period > 1 else master.step
+            self.members.append(Member(part, instance, ctypes.c_double(h)))
+        # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
+        ours = [p for p in sys.path if p.startswith(self._folder.name)]
+        sys.path[:] = [p for p in sys.path if p not in ours] + ours
+
+    def _wire(self) -> None:
+        plan = self.plan
+        sources = {(k.sink, k.input.name): (k.source, k.output.name) for k in plan.links}
+        read = {(k.source, k.output.name): k.output for k in plan.links} | {(c, v.name): v for c, v in plan.recorded}
+        outputs = _Ports((*key, v) for key, v in read.items() if v.causality != "input")
+        # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
+        driven = _Ports((k.sink, k.input.name, k.input) for k in plan.links)
+        held = _Ports((*key, v) for key, v in read.items() if v.causality == "input" and key not in sources)
+        place: dict[tuple[str, str], int] = {}
+
+        def reserve(part: Part, ports: _Ports) -> None:
+            for kind in KINDS:
+                for variable in ports.of(part.name, kind):
+                    place[part.name, variable.name] = len(self._names[kind])
+                    self._names[kind].append(f"{part.name}.{variable.name}")
+
+        for part in plan.parts:
+            reserve(part, outputs)
+        self.computed = {kind: len(names) for kind, names in self._names.items()}
+        for part in plan.parts:
+            reserve(part, driven)
+            reserve(part, held)
+        for kind in KINDS:
+            start: Any = b"" if kind == "string" else 0
+            self.tables[kind] = np.full(len(self._names[kind]), start, dtype=DTYPES[kind])
+            places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
+            self.recorded[kind] = np.array(places, dtype=np.intp)
+        for member in self.members:
+            for kind in KINDS:
+                name = member.part.name
+                if variables := driven.of(name, kind):
+                    places = [place[sources[name, v.name]] for v in variables]
+                    self._wire_inputs(member, kind, variables, place[name, variables[0].name], np.array(places))
+                if variables := outputs.of(name, kind):
+                    self._wire_outputs(member, kind, variables, place[name, variables[0].name])
+                for variable in held.of(name, kind):
+                    value = member.part.start.get(variable.name, variable.start or 0)
+                    held_at = place[name, variable.name]
+                    self.tables[kind][held_at] = str(value).encode() if kind == "string" else float(value)
+
+    def _wire_inputs(self, member: Member, kind: str, variables: list[Variable], first: int, sources: Any) -> None:
+        table = self.tables[kind]
+        # take() copies first where source and target overlap: these two views do not.
+        computed, buffer = table[: self.computed[kind]], table[first : first + len(variables)]
+        member.gathers.append(partial(computed.take, sources, None, buffer, "clip"))
+        member.sets.append(_call(member, f"fmi2Set{kind.capitalize()}", kind, variables, buffer, reads=False))
+
+    def _wire_outputs(self, member: Member, kind: str, variables: list[Variable], first: int) -> None:
+        table, n = self.tables[kind], len(variables)
+        jacobi = self.plan.experiment.master.algorithm == "jacobi"
+        if member.part.period == 1 and not jacobi:
+            buffer = table[first : first + n]
+        else:
+            buffer = np.zeros(n, dtype=DTYPES[kind])
+            at_once = [i for i, v in enumerate(variables) if v.feedthrough or member.part.period == 1]
+            later = [i for i in range(n) if i not in at_once]
+            for chosen, moment in ((at_once, member.at_tick_end if jacobi else member.at_once),
+                                   (later, member.at_period_end)):  # fmt: skip
+                if chosen:
+                    publish = _publish(table, np.array(chosen) + first, buffer, np.array(chosen))
+                    moment.append(publish)
+                    member.staged.append(publish)
+            if kind == "real":
+                member.sums.append(partial(buffer.dot, np.zeros(n)))
+        if kind == "real":
+            member.outputs, member.values = variables, buffer
+        member.gets.append(_call(member, f"fmi2Get{kind.capitalize()}", kind, variables, buffer, reads=True))
+
+
+class _Ports:
+    """Variables by component and kind, in the order of the FMU."""
+
+    def __init__(self, ports: Iterable[tuple[str, str, Variable]]):
+        self._found: dict[tuple[str, str], dict[str, Variable]] = {}
+        for component, name, variable in ports:
+            self._found.setdefault((component, variable.kind), {})[name] = variable
+
+    def of(self, component: str, kind: str) -> list[Variable]:
+        return sorted(self._found.get((component, kind), {}).values(), key=lambda v: v.reference)
+
+
+class MemberFailed(Exception):
+    """A component failed.  `.name`: its name; the text: its words."""
+
+    def __init__(self, member: Member, words: str, status: int = 3):
+        super().__init__(words)
+        self.member, self.name, self.status = member, member.part.name, status
+
+
+class AlgebraicLoop(Exception):
+    """The initial values do not settle.  `.signals`: those that still changed."""
+
+    def __init__(self, signals: list[str]):
+        shown = ", ".join(signals[:12]) + (", ..." if len(signals) > 12 else "")
+        super().__init__(f"the initial values do not settle in 100 sweeps, an algebraic loop through {shown}; "
+                         "break it with a component whose output does not depend on its input at once")  # fmt: skip
+
+
+@contextlib.contextmanager
+def failing(member: Member) -> Iterator[None]:
+    """Turn a failed FMI call into MemberFailed."""
+    try:
+        yield
+    except CallFailed as error:
+        raise MemberFailed(member, str(error), error.status) from None
+
+
+def _call(member: Member, function: str, kind: str, variables: list[Variable], buffer: Any, reads: bool) -> Action:
+    """The FMI getter or setter for `buffer`, a numpy array, without arguments; returns the status."""
+    n = len(variables)
+    references = (ctypes.c_uint * n)(*(v.reference for v in variables))
+    call = partial(
+        member.instance.function(function), ctypes.c_void_p(member.instance.component), references, ctypes.c_size_t(n)
+    )
+    if kind != "string":
+        return partial(call, ctypes.c_void_p(buffer.ctypes.data))
+    strings = (ctypes.c_char_p * n)()
+
+    def exchange() -> Any:
+        if not reads:
+            strings[:] = list(buffer)
+        status = call(strings)
+        if reads:
+            buffer[:] = [text or b"" for text in strings]  # valid only until the next call
+        return status
+
+    return exchange
+
+
+def _publish(table: Any, targets: Any, buffer: Any, chosen: Any) -> Action:
+    def publish() -> None:
+        table[targets] = buffer[chosen]
+
+    return publish
+
+
+def _claim_modules(fmu: Fmu) -> None:
+    """Refuse a Python FMU whose modules this process already knows as something else: it would compute with those."""
+    for module, digest in fmu.python_modules.items():
+        if module not in _loaded_modules:
+            if module in sys.modules:
+                where = getattr(sys.modules[module], "__file__", None) or "Python itself"
+                raise FmuError(f"{fmu.path} brings a Python module {module!r}, which this process has already loaded "
+                               f"from {where}; rename the module in the FMU")  # fmt: skip
+            _loaded_modules[module] = (digest, fmu.path)
+        its_digest, other = _loaded_modules[module]
+        if its_digest != digest:
+            raise FmuError(f"{fmu.path} brings another Python module {module!r} than {other}, which this process has "
+                           "already loaded; run it in a new process")  # fmt: skip

@@ -1,0 +1,334 @@
+"""From an experiment and its FMUs to a plan: every name resolved, every value checked, nothing loaded.
+
+`resolve` gathers all problems of the file and its FMUs and raises once.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from . import build, metrics
+from .errors import ExperimentError, FmuError, Problem, did_you_mean
+from .experiment import Component, Experiment
+from .fmu import Fmu, Variable, read
+from .values import flatten
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component ready to be instantiated."""
+
+    name: str
+    fmu_name: str  # as the experiment names it
+    fmu: Fmu
+    period: int  # ticks of the master
+    parameters: Mapping[str, Any]  # {FMI variable: value}
+    start: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One scalar connection."""
+
+    sink: str
+    input: Variable
+    source: str
+    output: Variable
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will run.  `resolved`: the whole of it that decides the numbers; `digest`: its SHA-256."""
+
+    experiment: Experiment
+    parts: tuple[Part, ...]
+    links: tuple[Link, ...]
+    recorded: tuple[tuple[str, Variable], ...]
+    resolved: Mapping[str, Any]
+    digest: str
+    notes: tuple[str, ...]
+
+    @property
+    def steps(self) -> int:
+        """How many ticks the run has."""
+        ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
+        assert ticks is not None  # checked by experiment.load
+        return ticks
+
+    @property
+    def stride(self) -> int:
+        """Ticks from row to row."""
+        ticks = self.experiment.grid.ticks(self.experiment.record.every)
+        assert ticks is not None
+        return ticks
+
+
+def resolve(experiment: Experiment, unbuilt: Mapping[str, str] | None = None) -> Plan:
+    """Fit the experiment to its FMUs.
+
+    unbuilt: {model: why it cannot be built}.  Raises ExperimentError with every problem.
+    """
+    return _Resolver(experiment, unbuilt or {}).plan()
+
+
+class _Resolver:
+    def __init__(self, experiment: Experiment, unbuilt: Mapping[str, str]):
+        self.experiment, self.unbuilt = experiment, unbuilt
+        self.problems = list(experiment.problems)
+        self.notes = list(experiment.notes)
+        self.fmus: dict[str, Fmu] = {}  # by component
+        self.components = {c.name: c for c in experiment.components}
+
+    def plan(self) -> Plan:
+        self.read_fmus()
+        self.find_clashes()
+        parts = [self.part(c) for c in self.experiment.components if c.name in self.fmus]
+        links = self.links()
+        for part in parts:
+            self.unconnected(part, links)
+        recorded = self.recorded()
+        self.check_metrics(recorded)
+        if self.problems:
+            raise ExperimentError(self.experiment.path, self.problems)
+        resolved = self.resolved(parts, links, recorded)
+        text = json.dumps(_identity(resolved), sort_keys=True, separators=(",", ":"))
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), resolved, digest, tuple(self.notes))
+
+    def problem(self, key: str, sentence: str) -> None:
+        self.problems.append(Problem(key, sentence))
+
+    def read_fmus(self) -> None:
+        files: dict[Path, Fmu] = {}
+        for component in self.experiment.components:
+            if not component.fmu:
+                continue
+            try:
+                if component.fmu in self.unbuilt:
+                    raise FmuError(self.unbuilt[component.fmu])
+                path = build.locate(component.fmu, self.experiment.path.resolve().parent)
+                self.fmus[component.name] = files[path] = files.get(path) or read(path)
+            except FmuError as error:
+                self.problem(f"components.{component.name}.fmu", str(error))
+
+    def find_clashes(self) -> None:
+        """Python FMUs share one interpreter: a module name may mean one thing only."""
+        owner: dict[str, tuple[str, str]] = {}
+        loaded: dict[Path, str] = {}
+        for name, fmu in self.fmus.items():
+            if fmu.once_per_process and loaded.setdefault(fmu.path, name) != name:
+                self.problem(f"components.{name}.fmu", f"{fmu.path.name} can be instantiated only once in a process, "
+                             f"and {loaded[fmu.path]!r} is the first")  # fmt: skip
+            for module, digest in fmu.python_modules.items():
+                first, its_digest = owner.setdefault(module, (name, digest))
+                if its_digest != digest:
+                    self.problem(f"components.{name}.fmu", f"{fmu.path.name} and {self.fmus[first].path.name} "
+                                 f"(component {first!r}) bring different Python modules named {module!r}, and one "
+                                 "process can hold only one; rename the module in one of them")  # fmt: skip
+
+    def part(self, component: Component) -> Part:
+        fmu, key = self.fmus[component.name], f"components.{component.name}"
+        parameters = self.values(fmu, "parameter", component.parameters, f"{key}.parameters")
+        seed = fmu.variables.get("seed")
+        if (
+            self.experiment.master.seed is not None and seed is not None and "seed" not in parameters
+            and seed.causality == "parameter" and seed.type == "Integer"
+        ):  # fmt: skip
+            text = f"{self.experiment.master.seed}/{component.name}"
+            parameters["seed"] = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+        start: dict[str, Any] = {}
+        if isinstance(component.start, Mapping):
+            table = dict(component.start)
+            if component.swapped:
+                for name in [n for n in table if not fmu.lookup(n)]:
+                    self.notes.append(f"{component.name}: dropped start.{name}, which {fmu.model_name} lacks")
+                    del table[name]
+            start = self.values(fmu, "input", table, f"{key}.start")
+        grid = self.experiment.grid
+        period = grid.ticks(component.step) if component.step is not None else 1
+        return Part(component.name, component.fmu, fmu, period or 1, parameters, start)
+
+    def values(self, fmu: Fmu, causality: str, table: Mapping[str, Any], key: str) -> dict[str, Any]:
+        values, problems = flatten(fmu, causality, table)
+        for name, sentence in problems:
+            self.problem(f"{key}.{name}", sentence)
+        return values
+
+    def links(self) -> list[Link]:
+        links: list[Link] = []
+        driver: dict[tuple[str, str], str] = {}
+        for sink, source in self.experiment.connections.items():
+            key = f'connections."{sink}"'
+            to, origin = self.end(sink, "input", key), self.end(source, "output", key)
+            if to is None or origin is None:
+                continue
+            (sink_component, inputs), (source_component, outputs) = to, origin
+            for input, output in self.pairs(inputs, outputs, key, sink, source):
+                other = driver.setdefault((sink_component, input.name), source)
+                if other != source:
+                    self.problem(key, f"{input.name} has two drivers: {other} and {source}; keep one")
+                    break
+                links.append(Link(sink_component, input, source_component, output))
+        return links
+
+    def end(self, name: str, causality: str, key: str) -> tuple[str, dict[str, Variable]] | None:
+        """The component and variables of one end of a connection."""
+        component, _, variable = name.partition(".")
+        if component not in self.components:
+            self.problem(key, f"no component {component!r}{did_you_mean(component, self.components)}")
+            return None
+        if component not in self.fmus:
+            return None  # its FMU is a problem of its own
+        fmu = self.fmus[component]
+        found = fmu.lookup(variable)
+        choices = [f"{component}.{n}" for n in fmu.names(causality)]
+        if found and all(v.causality == causality for v in found.values()):
+            return component, found
+        if found:
+            is_a = next(iter(found.values())).causality
+            self.problem(key, f"{name!r} is {_article(is_a)}, not {_article(causality)}"
+                         f"{did_you_mean(name, choices, f'{component} has')}")  # fmt: skip
+        elif causality == "input" and self.components[component].swapped:
+            self.notes.append(f"{component}: dropped the connection into {variable}, which {fmu.model_name} lacks")
+        else:
+            near = did_you_mean(name, choices, f"{component} has")
+            self.problem(key, f"no {causality} {name!r}{near}")
+        return None
+
+    def pairs(
+        self, inputs: dict[str, Variable], outputs: dict[str, Variable], key: str, sink: str, source: str
+    ) -> list[tuple[Variable, Variable]]:
+        """Input and output of each axis: by name, or by number where one side is numbered."""
+        if set(inputs) == set(outputs) or len(inputs) == len(outputs) == 1:
+            pairs = [(inputs[axis], outputs[axis if axis in outputs else next(iter(outputs))]) for axis in inputs]
+        elif len(inputs) != len(outputs):
+            self.problem(key, f"{sink} has {_axes(inputs)}, {source} has {_axes(outputs)}")
+            return []
+        elif all(a.isdigit() for a in inputs) or all(a.isdigit() for a in outputs):
+            pairs = list(zip(inputs.values(), outputs.values(), strict=True))
+        else:
+            self.problem(key, f"the axes differ: {sink} has {_axes(inputs)}, {source} has {_axes(outputs)}; "
+                         "connect them one by one")  # fmt: skip
+            return []
+        for input, output in pairs:
+            if input.kind != output.kind:
+                self.problem(key, f"{input.name} is {input.type}, {output.name} is {output.type}")
+                return []
+            if not self.same_unit(input, sink, output, source):
+                self.problem(key, f"{input.name} is in {input.unit!r}, {output.name} in {output.unit!r}")
+                return []
+        return pairs
+
+    def same_unit(self, input: Variable, sink: str, output: Variable, source: str) -> bool:
+        if input.unit == output.unit or not input.unit or not output.unit:
+            return True
+        bases = [
+            self.fmus[end.partition(".")[0]].units.get(variable.unit)
+            for end, variable in ((sink, input), (source, output))
+        ]
+        return bases[0] is not None and bases[0] == bases[1]
+
+    def unconnected(self, part: Part, links: Iterable[Link]) -> None:
+        driven = {link.input.name for link in links if link.sink == part.name}
+        key = f"components.{part.name}"
+        for name in part.start:
+            if name in driven:
+                self.problem(f"{key}.start.{name}", "is connected; a start value would be overwritten at once")
+        component = self.components[part.name]
+        if component.start == "fmu":
+            return
+        # An input whose connection is itself a problem is not reported a second time.
+        meant = {sink.partition(".")[2] for sink in self.experiment.connections if sink.startswith(part.name + ".")}
+        for name in part.fmu.names("input"):
+            missing = [axis for axis, v in part.fmu.lookup(name).items() if v.name not in driven | set(part.start)]
+            if missing and name not in meant and not any(m.startswith((name + ".", name + "[")) for m in meant):
+                whole = len(missing) == len(part.fmu.lookup(name))
+                what = repr(name) if whole else f"{name!r} ({', '.join(missing)})"
+                self.problem(key, f"nothing drives its input {what}; connect it, give it a value in {key}.start, "
+                             'or accept the FMU\'s own with start = "fmu"')  # fmt: skip
+
+    def recorded(self) -> list[tuple[str, Variable]]:
+        record = self.experiment.record
+        wanted = ("output", "input", "local") if record.inputs else ("output",)
+        choices = [
+            (name, variable)
+            for name, fmu in self.fmus.items()
+            for variable in fmu.variables.values()
+            if variable.causality in wanted
+        ]
+        include = [p for p in record.signals if not p.startswith("!")] or ["*"]
+        exclude = [p[1:] for p in record.signals if p.startswith("!")]
+        full = [f"{component}.{variable.name}" for component, variable in choices]
+        if len(self.fmus) == len(self.components):
+            for pattern in include:
+                if not any(matches(name, pattern) for name in full):
+                    vectors = {name.rpartition(".")[0] for name in full}
+                    self.problem("record.signals", f"{pattern!r} matches nothing{did_you_mean(pattern, vectors)}")
+        return [
+            choice
+            for choice, name in zip(choices, full, strict=True)
+            if any(matches(name, p) for p in include) and not any(matches(name, p) for p in exclude)
+        ]
+
+    def check_metrics(self, recorded: list[tuple[str, Variable]]) -> None:
+        if len(self.fmus) < len(self.components):
+            return  # what cannot be read cannot be told from what does not exist
+        units = {f"{component}.{variable.name}": variable.unit for component, variable in recorded}
+        for name, spec in self.experiment.metrics.items():
+            self.problems += metrics.problems(f"metrics.{name}", spec, units)
+
+    def resolved(self, parts: list[Part], links: list[Link], recorded: list[tuple[str, Variable]]) -> dict[str, Any]:
+        master, record = self.experiment.master, self.experiment.record
+        return {
+            "title": self.experiment.title,
+            "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
+                       "seed": master.seed},
+            "components": [
+                {"name": p.name, "fmu": p.fmu_name, "fmu_sha256": p.fmu.sha256, "period": p.period,
+                 "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
+                for p in parts
+            ],
+            "connections": sorted([f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in links),
+            "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in recorded]},
+            "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
+        }  # fmt: skip
+
+
+def matches(name: str, pattern: str) -> bool:
+    """Whether a signal or the vector it belongs to fits a glob."""
+    vector = name.rpartition(".")[0] if not name.endswith("]") else name.rpartition("[")[0]
+    return name == pattern or fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(vector, pattern)
+
+
+def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None) -> Plan:
+    """Build what is stale, then resolve.  told: called with the name of each model that is being built."""
+    named = {c.fmu for c in experiment.components if c.fmu in build.known()}
+    try:
+        build.build(sorted(named), told)
+        unbuilt = {}
+    except build.BuildError as error:
+        unbuilt = error.reasons
+    return resolve(experiment, unbuilt)
+
+
+def _identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
+    components = [{k: v for k, v in c.items() if k != "fmu"} for c in resolved["components"]]
+    return {**{k: resolved[k] for k in ("master", "connections", "record")}, "components": components}
+
+
+def _article(causality: str) -> str:
+    return f"an {causality}" if causality[0] in "aeiou" else f"a {causality}"
+
+
+def _axes(variables: Mapping[str, Variable]) -> str:
+    if set(variables) == {""}:
+        return "one value"
+    return f"{len(variables)} axes ({' '.join(variables)})"
+
