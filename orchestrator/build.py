@@ -39,7 +39,10 @@ def experiments_folder() -> Path:
 
 
 def build_folder() -> Path:
-    """Where built FMUs lie: beside their sources, or in the user's cache where these cannot be written."""
+    """Where built FMUs lie: in ORCH_BUILD where the environment names it, else beside their sources, or in the user's
+    cache where these cannot be written."""
+    if named := os.environ.get("ORCH_BUILD"):
+        return Path(named).resolve()
     folder = models_folder()
     if os.access(folder, os.W_OK):
         return folder / "build"

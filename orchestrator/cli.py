@@ -155,10 +155,11 @@ def check(experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], as_jso
 def build(names: tuple[str, ...], force: bool) -> None:
     """Build FMUs: all that come with orch, the named ones, or a model of your own."""
     from . import build as builder
+    from . import show
 
     built = builder.build(names or builder.shipped(), lambda name: _tell(f"building {name}"), force)
     for path in built.values():
-        click.echo(_short(path))
+        click.echo(show.short(path))
 
 
 @orch.command()
@@ -191,13 +192,13 @@ def fmus(name: str | None, as_json: bool) -> None:
 @_results
 def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], results: str) -> None:
     """Draw runs: tracks, positions, errors, thrusters.  RUN: an id, a prefix of one, a file, or "last"."""
-    from . import plots
+    from . import plots, show
     from .store import Store, open_run
 
     store = Store(results)
     records = [open_run(store.find(name)) for name in runs]
     target = Path(output) if output else records[0].path.with_suffix(".png")
-    click.echo(_short(plots.draw(records, target, signals)))
+    click.echo(show.short(plots.draw(records, target, signals)))
 
 
 @orch.command()
@@ -258,12 +259,6 @@ def _tell(text: str) -> None:
 
 def _silent(text: str) -> None:
     """For --quiet and --json."""
-
-
-def _short(path: Path) -> str:
-    """The path as seen from here, where that is shorter."""
-    relative = os.path.relpath(path)
-    return relative if len(relative) < len(str(path)) else str(path)
 
 
 if __name__ == "__main__":

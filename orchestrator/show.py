@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from . import metrics
@@ -13,8 +15,6 @@ from .fmu import Fmu, split_axis
 from .runner import Result
 from .store import finite
 from .wiring import Plan
-
-WIDTH = 80
 
 
 def result(result: Result, plan: Plan) -> str:
@@ -26,7 +26,7 @@ def result(result: Result, plan: Plan) -> str:
         head += f"; an FMU ended it at t = {result.stopped_at:.10g} s"
     lines = [
         head,
-        f"  file              {os.path.relpath(result.file)}",
+        f"  file              {short(result.file)}",
         f"  wall time         {result.wall_time:.4g} s",
         f"  real-time factor  {result.real_time_factor:.4g}",
     ]
@@ -100,7 +100,7 @@ def fmu(fmu: Fmu) -> str:
     able = [name for name, has in fmu.capabilities.items() if has]
     lines = [
         f"{fmu.model_name}: {fmu.description}",
-        f"  file          {os.path.relpath(fmu.path)}",
+        f"  file          {short(fmu.path)}",
         f"  sha256        {fmu.sha256}",
         f"  FMI           {fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})",
         f"  capabilities  {', '.join(able) or 'none'}",
@@ -147,14 +147,22 @@ def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def short(path: Path) -> str:
+    """The path as seen from here, where that is shorter."""
+    relative = os.path.relpath(path)
+    return relative if len(relative) < len(str(path)) else str(path)
+
+
 def _table(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) -> list[str]:
     """Columns as wide as they need; `cut` shortens the last one to the terminal."""
+    width = max(80, shutil.get_terminal_size().columns)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
     lines = []
     for row in rows:
-        line = " " * indent + "".join(cell.ljust(width + 2) for cell, width in zip(row, widths, strict=False)) + row[-1]
-        if cut and len(line) > WIDTH:
-            line = line[: WIDTH - 3].rstrip() + "..."
+        cells = [cell.ljust(w + 2) for cell, w in zip(row, widths, strict=False)]
+        line = " " * indent + "".join(cells) + row[-1]
+        if cut and len(line) > width:
+            line = line[: width - 3].rstrip() + "..."
         lines.append(line.rstrip())
     return lines
 

@@ -14,7 +14,7 @@ from uuv import ETA, ETA_D, ETA_D_DOT, NU, TAU, Input, Output, Parameter, Python
 
 
 class {classname}(PythonModel):
-    """A PD law in the body frame for position and heading: replace it by your own."""
+    """A PD law for position, roll and heading: replace it by your own."""
 
     # The socket of a controller: any of these inputs, and tau.  `orch fmus pid` shows the signals with their axes.
     eta, nu = Input(ETA), Input(NU)  # pose in NED (x y z phi theta psi) [m, rad], velocity in BODY [m/s, rad/s]
@@ -23,17 +23,17 @@ class {classname}(PythonModel):
     # Parameters can be set from an experiment: --set components.controller.parameters.K_p=90
     K_p = Parameter(140.0, "N/m", "position gain")
     K_d = Parameter(120.0, "N.s/m", "velocity gain")
-    K_psi = Parameter(40.0, "N.m/rad", "heading gain")
-    K_r = Parameter(8.0, "N.m.s/rad", "yaw-rate gain")
+    K_a = Parameter(40.0, "N.m/rad", "gain of roll and heading")
+    K_r = Parameter(8.0, "N.m.s/rad", "gain of their rates")
 
     def do_step(self, t, h):
         """One step from t to t + h [s]: read the inputs, set the outputs.  Keep what you need on self."""
         e = self.eta_d - self.eta
         c, s = np.cos(self.eta[5]), np.sin(self.eta[5])
-        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # BODY to NED, for a level vehicle
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # BODY to NED, for a nearly level vehicle
         force = R.T @ (self.K_p * e[:3] + self.K_d * self.eta_d_dot[:3]) - self.K_d * self.nu[:3]
-        yaw = self.K_psi * e[5] + self.K_r * (self.eta_d_dot[5] - self.nu[5])
-        self.tau = np.array([*force, 0, 0, yaw])
+        moment = self.K_a * e[3:] + self.K_r * (self.eta_d_dot[3:] - self.nu[3:])
+        self.tau = np.array([*force, moment[0], 0, moment[2]])
 '''
 
 EXPERIMENT = """# {name}: say here what this experiment shows.

@@ -6,7 +6,10 @@ from uuv.thrusters import pinv_thruster_matrix, saturate, thruster_matrix
 
 
 class BlueROV2Allocation(BlueROV2Thrusters, Model):
-    """u = pinv(T) tau / max_thrust, saturated (thesis Eqs. 3.28, 4.12, 4.13)."""
+    """Thruster commands of a generalized force, saturated.
+
+    u = pinv(T) tau / max_thrust (thesis Eq. 3.28), T1-T4 scaled together and T5, T6 clipped (Eqs. 4.12, 4.13).
+    """
 
     tau = Input(TAU)
     u = Output(U)

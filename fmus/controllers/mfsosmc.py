@@ -1,16 +1,17 @@
-"""Model-free second-order sliding mode control with a time base: the thesis's proposal."""
+"""MFSOSMC: the controller that the thesis proposes."""
 
 import casadi as ca
-from uuv import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, TAU, Input, Model, Output, Parameter, Signal, State
+from uuv import ETA, ETA_D_DOT, Parameter, Signal, State
+from uuv.controller import Controller, no_pitch
 from uuv.kinematics import jacobian
-from uuv.signals import FORCE_PER_RATE
+from uuv.signals import FORCE_PER_RATE, linear_and_angular
 from uuv.tbg import convergence_gain
 
-NO_PITCH = (1.0, 1.0, 1.0, 1.0, 0.0, 1.0)
 
+class MFSOSMC(Controller):
+    """Model-free second-order sliding mode control with a time base.
 
-class MFSOSMC(Model):
-    """tau = -J^T K_d s_r,  s_r = s_n + K_i int sign(s_n),  s_n = s - s(0) exp(-kappa t),  s = e_dot + alpha(t) e
+    tau = -J^T K_d s_r,  s_r = s_n + K_i int sign(s_n),  s_n = s - s(0) exp(-kappa t),  s = e_dot + alpha(t) e
     (thesis Eqs. 4.44-4.49), e = eta - eta_d.
 
     The integral is semi-implicit: advanced first, then used.  That takes a delay of one step out of the loop of relay
@@ -19,13 +20,10 @@ class MFSOSMC(Model):
     K_d/I = 2880 1/s is unstable, and position errors do not show it.
     """
 
-    eta, nu = Input(ETA), Input(NU)
-    eta_d, eta_d_dot, eta_d_ddot = Input(ETA_D), Input(ETA_D_DOT), Input(ETA_D_DDOT)
-    tau = Output(TAU)
     integral = State(Signal(ETA.axes, ("s",) * 6, "integral of sign(s_n)"))
     s_0 = State(Signal(ETA.axes, ETA_D_DOT.units, "s at the start"))
-    K_d = Parameter([800.0 * k for k in NO_PITCH], FORCE_PER_RATE, "gain of s_r (Table 5.1)", ETA.axes)
-    K_i = Parameter([5.0 * k for k in NO_PITCH], ("m/s2",) * 3 + ("rad/s2",) * 3,
+    K_d = Parameter(no_pitch(800.0), FORCE_PER_RATE, "gain of s_r (Table 5.1)", ETA.axes)
+    K_i = Parameter(no_pitch(5.0), linear_and_angular("m/s2", "rad/s2"),
                     "gain of the integral; 5 (Table 5.1), fitted: 1 in a current", ETA.axes)  # fmt: skip
     kappa = Parameter(5.0, "1/s", "decay of s_d (Table 5.1)")
     alpha_0 = Parameter(1.01, "1", "gain of the time base (Table 5.1)")
@@ -35,8 +33,8 @@ class MFSOSMC(Model):
     semi_implicit = Parameter(True, "1", "advance the integral before it is used; false: after")
 
     def _s(self, alpha):
-        J = jacobian(self.eta)
-        return J @ self.nu - self.eta_d_dot + alpha * (self.eta - self.eta_d)
+        e, e_dot = self.errors()
+        return e_dot + alpha * e
 
     def _alpha(self, t):
         return convergence_gain(t, self.t_b, self.alpha_0, self.alpha_c, self.delta)

@@ -1,4 +1,4 @@
-"""Gripping, carrying and releasing an object: the path of one of the two vehicles."""
+"""The thesis's task of two vehicles and an object."""
 
 import casadi as ca
 from uuv import ETA_D, ETA_D_DDOT, ETA_D_DOT, V_C, Model, Output, Parameter
@@ -6,9 +6,10 @@ from uuv.tbg import time_base
 
 
 class GrippingReference(Model):
-    """Rest-to-rest quintic segments between the points of thesis section 4.2.3; at rest before the first knot.
+    """One vehicle's part in gripping, carrying and releasing an object.
 
-    The vehicles face each other across the object, along y: side +1 north-facing stern at y + distance/2 with heading
+    Quintic segments, at rest at each knot, between the points of thesis section 4.2.3; a constant set point before the
+    first knot.  The vehicles face each other across the object: side +1 lies at its y + distance/2 with a heading of
     -90 degrees, side -1 opposite.  Resolved from the thesis's misprints: both grip at the object's x.
     """
 

@@ -1,11 +1,13 @@
-"""A downward spiral with the bow along the circle."""
+"""The thesis's spiral."""
 
 import casadi as ca
 from uuv import ETA_D, ETA_D_DDOT, ETA_D_DOT, Model, Output, Parameter
 
 
 class SpiralReference(Model):
-    """x_d = R cos wt, y_d = R sin wt, z_d = z_dot t (thesis Eqs. 4.14, 4.15) and psi_d = wt, derivatives exact.
+    """A downward spiral with the bow turning along.
+
+    x_d = R cos wt, y_d = R sin wt, z_d = z_dot t (thesis Eqs. 4.14, 4.15) and psi_d = wt, derivatives exact.
 
     The thesis does not print psi_d; wt follows from twelve cells of its tables.
     """

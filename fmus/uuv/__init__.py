@@ -4,26 +4,11 @@
     from uuv import PythonModel                                             # plain Python and numpy
 """
 
-from .model import Calculated, Input, Model, Output, Parameter, State
+from .model import Calculated, Group, Input, Model, Output, Parameter, State
 from .python_model import PythonModel
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, SPECIFIC_FORCE, TAU, V_C, Signal, U
 
 __all__ = [
-    "ETA",
-    "ETA_D",
-    "ETA_D_DDOT",
-    "ETA_D_DOT",
-    "NU",
-    "SPECIFIC_FORCE",
-    "TAU",
-    "V_C",
-    "Calculated",
-    "Input",
-    "Model",
-    "Output",
-    "Parameter",
-    "PythonModel",
-    "Signal",
-    "State",
-    "U",
+    "ETA", "ETA_D", "ETA_D_DDOT", "ETA_D_DOT", "NU", "SPECIFIC_FORCE", "TAU", "V_C", "Calculated", "Group", "Input",
+    "Model", "Output", "Parameter", "PythonModel", "Signal", "State", "U",
 ]  # fmt: skip

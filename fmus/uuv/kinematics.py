@@ -41,5 +41,24 @@ def jacobian(eta: Any) -> Any:
     return ca.diagcat(rotation(eta), euler_rates(eta))
 
 
+def jacobian_dot(eta: Any, nu: Any, v: Any) -> Any:
+    """J_dot(eta, nu) v: how J(eta) v turns while v is held.  eta, nu: pose and velocity.  v: (6,).  Returns (6,)."""
+    held = ca.SX.sym("v", 6)
+    turning = ca.jtimes(jacobian(eta) @ held, eta, jacobian(eta) @ nu)
+    return ca.substitute(turning, held, v)
+
+
+def inverse_jacobian(eta: Any) -> Any:
+    """J(eta)^-1: the transposed rotation, and Euler rates to angular velocity.  eta: (6,) [m, rad].  Returns (6, 6)."""
+    phi, theta = eta[3], eta[4]
+    s_phi, c_phi = ca.sin(phi), ca.cos(phi)
+    rates = _matrix(
+        [1, 0, -ca.sin(theta)],
+        [0, c_phi, ca.cos(theta) * s_phi],
+        [0, -s_phi, ca.cos(theta) * c_phi],
+    )
+    return ca.diagcat(rotation(eta).T, rates)
+
+
 def _matrix(*rows: list[Any]) -> Any:
     return ca.vertcat(*(ca.horzcat(*row) for row in rows))

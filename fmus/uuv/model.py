@@ -11,10 +11,12 @@ and a native one come from the same definition.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 from .signals import Signal
@@ -125,6 +127,22 @@ class Calculated(Variable):
         super().__init__(Signal((), unit, meaning), 0.0, shape)
 
 
+class Group:
+    """The declarations of another class under a common name: `model = Group(Body)` makes `model.m`, `self.model.m`."""
+
+    def __init__(self, declarations: type):
+        self.declarations = declarations
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def variables(self) -> Iterator[Variable]:
+        for variable in _declarations(self.declarations):
+            member = copy.copy(variable)
+            member.name = f"{self.name}.{variable.name}"
+            yield member
+
+
 class Layout:
     """Where each variable of a model class lies in its memory."""
 
@@ -151,6 +169,17 @@ class Layout:
 
     def of(self, group: str) -> list[Variable]:
         return [v for v in self.variables if v.group == group]
+
+
+def assign(model: Any, name: str, value: Any) -> None:
+    """Set `model.name`, or `model.group.name` for a variable of a group."""
+    group, _, member = name.rpartition(".")
+    if not group:
+        setattr(model, name, value)
+    elif group in vars(model):
+        setattr(getattr(model, group), member, value)
+    else:
+        setattr(model, group, SimpleNamespace(**{member: value}))
 
 
 class Declared(ABC):  # noqa: B024 - the two styles below have their own abstract methods
@@ -216,7 +245,7 @@ def trace(model_class: type[Model]) -> Equations:
     model = model_class()
     for variable in layout.variables:
         if variable.group != "output":
-            setattr(model, variable.name, _shaped(memory[layout.places[variable.name]], variable.shape))
+            assign(model, variable.name, _shaped(memory[layout.places[variable.name]], variable.shape))
     calculated = model.calculate()
     for variable in layout.of("calculated"):
         expression = _result(variable, calculated)
@@ -279,6 +308,8 @@ def _declarations(model: type) -> list[Variable]:
         for name, value in vars(cls).items():
             if isinstance(value, Variable):
                 found[name] = value
+            elif isinstance(value, Group):
+                found |= {variable.name: variable for variable in value.variables()}
             else:
                 found.pop(name, None)
     return list(found.values())

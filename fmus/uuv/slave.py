@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .model import GROUPS, Declared, Equations, Layout, Model, trace
+from .model import GROUPS, Declared, Equations, Layout, Model, assign, trace
 from .python_model import PythonModel
 
 ERROR = 3  # fmi2Error
@@ -183,7 +183,7 @@ class _PythonCore:
     def __init__(self, model_class: type[PythonModel], memory: Any):
         self._memory, self._layout = memory, model_class.layout()
         self._model = model_class()
-        self._declared = {v.name for v in self._layout.variables}
+        self._declared = {v.name.partition(".")[0] for v in self._layout.variables}
         self._start = memory.copy()
         self._new = self.own_state()
 
@@ -231,7 +231,7 @@ def _show(model: Any, memory: Any, layout: Layout, groups: tuple[str, ...]) -> N
     for group in groups:
         for v in layout.of(group):
             values = memory[layout.places[v.name]]
-            setattr(model, v.name, values.reshape(v.shape, order="F") if v.shape else v.type(values[0]))
+            assign(model, v.name, values.reshape(v.shape, order="F") if v.shape else v.type(values[0]))
 
 
 def _store(model: Any, memory: Any, layout: Layout, groups: tuple[str, ...]) -> None:

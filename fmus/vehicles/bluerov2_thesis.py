@@ -9,7 +9,9 @@ from uuv.thrusters import thruster_matrix
 
 
 class BlueROV2Thesis(BlueROV2Body, BlueROV2Thrusters, Model):
-    """BlueROV2 (thesis chapter 4): eta_dot = J(eta) nu,
+    """BlueROV2 as in the thesis, chapter 4.
+
+    eta_dot = J(eta) nu,
     nu_dot = pinv(M) [tau - C(nu_r) nu_r - D(nu_r) nu_r - g(eta)],  nu_r = nu - R(eta)^T v_c.
 
     M acts on nu_dot alone, without the term of a turning current: with it pitch misses the thesis's by 9.6 degrees.
