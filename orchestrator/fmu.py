@@ -33,6 +33,7 @@ class Variable:
     description: str
     feedthrough: bool  # an output that depends on an input of the same instant, as far as the FMU says
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
+    limits: tuple[float, float] | None = None  # of a Real: min and max
 
     @property
     def kind(self) -> str:
@@ -197,7 +198,14 @@ def _variables(description: Any) -> Iterator[tuple[str, Variable]]:
         items = tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else ()
         unit = v.unit or (declared.unit if declared is not None else None) or ""
         yield v.name, Variable(v.name, v.valueReference, v.type, v.causality or "local", unit, v.start,
-                               v.description or "", v.causality == "output" and feedthrough, items)  # fmt: skip
+                               v.description or "", v.causality == "output" and feedthrough, items,
+                               _limits(v))  # fmt: skip
+
+
+def _limits(variable: Any) -> tuple[float, float] | None:
+    if variable.type != "Real" or variable.min is None or variable.max is None:
+        return None
+    return float(variable.min), float(variable.max)
 
 
 def _units(description: Any) -> Iterator[tuple[str, Any]]:

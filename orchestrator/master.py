@@ -26,6 +26,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .chatter import Alternations
 from .instance import DISCARD
 from .system import AlgebraicLoop, Member, MemberFailed, System
 
@@ -88,7 +89,7 @@ def _fail(system: System, outcome: Outcome, failure: MemberFailed) -> None:
 
 
 def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, interrupted: threading.Event) -> None:
-    rows = _Rows(system)
+    rows, alternations = _Rows(system), Alternations(system)
     rows.add(0)
     rows.hand_to(observers)
     steps, chunk = system.plan.steps, 1
@@ -96,19 +97,20 @@ def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, inter
         began = time.perf_counter()
         last = min(steps, outcome.ticks + chunk)
         try:
-            _advance(system, rows, outcome, last)
+            _advance(system, rows, alternations, outcome, last)
         finally:
             rows.hand_to(observers)
         elapsed = time.perf_counter() - began
         chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6))))
         for observer in observers:
             observer.progress(outcome.ticks)
+    outcome.warnings += alternations.warnings(outcome.ticks)
     if outcome.ticks < steps:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(outcome.ticks):.10g} s"
 
 
-def _advance(system: System, rows: _Rows, outcome: Outcome, last: int) -> None:
+def _advance(system: System, rows: _Rows, alternations: Alternations, outcome: Outcome, last: int) -> None:
     """Step until tick `last`.  Raises MemberFailed; `outcome.ticks` then names the start of the failed step."""
     grid, stride = system.plan.experiment.grid, system.plan.stride
     members = [(member, member.part.period) for member in system.members]
@@ -145,6 +147,7 @@ def _advance(system: System, rows: _Rows, outcome: Outcome, last: int) -> None:
         if math.isnan(checked.dot(zeros)):  # 0 * inf and 0 * nan are nan
             for member, _ in members:
                 _check_finite(member)
+        alternations.count()
         outcome.ticks = k + 1
         if outcome.ticks % stride == 0:
             rows.add(outcome.ticks)

@@ -1,13 +1,14 @@
-"""Numbers that sum a run up.  Each metric is a pure function; the table at the end names them for [metrics].
+"""Numbers that sum a run up.  Each metric is a pure function; the table METRICS names them for [metrics].
 
-Windows: samples with after <= t <= before.  Errors are signal - reference.  Angles are not wrapped: the vehicle's
-Euler angles and the references are continuous.
+Windows: samples with after <= t <= before; integrals over time are trapezoidal over these samples, and t in ITAE counts
+from the first of them.  Errors are signal - reference, or the signal itself without one.  Angles are not wrapped: the
+vehicle's Euler angles and the references are continuous.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +56,58 @@ def settling_time(time: Array, error: Array, band: float) -> float:
     return float(time[last + 1]) if last + 1 < len(time) else math.inf
 
 
+def iae(time: Array, error: Array) -> float:
+    """Integral of |error| over time.  In the signal's unit times s."""
+    return _integral(time, abs(error))
+
+
+def ise(time: Array, error: Array) -> float:
+    """Integral of error^2 over time.  In the signal's unit squared times s."""
+    return _integral(time, error * error)
+
+
+def itae(time: Array, error: Array) -> float:
+    """Integral of t |error| over time, t from the first sample.  In the signal's unit times s^2."""
+    return _integral(time, (time - time[0]) * abs(error))
+
+
+def convergence_time(time: Array, error: Array, band: float) -> float:
+    """When |error| <= band for the first time [s]; inf where it never is.  band: in the signal's unit."""
+    inside = (abs(error) <= band).nonzero()[0]
+    return float(time[inside[0]]) if len(inside) else math.inf
+
+
+def overshoot(time: Array, error: Array) -> float:
+    """How far the error goes beyond zero, in percent of the first sample; 0 where it stays on its side."""
+    if error[0] == 0.0:
+        return math.nan
+    return max(0.0, float((-error / error[0]).max()) * 100.0)
+
+
+def total_variation(time: Array, signal: Array) -> float:
+    """Sum of |change| from recorded row to row: chattering.  In the signal's unit; it grows with finer rows."""
+    return float(abs(signal[1:] - signal[:-1]).sum())
+
+
+def power(u: Array, max_power: float) -> Array:
+    """Power that thrusters take: max_power |u|^(3/2) each, for a propeller's thrust grows with the 2/3 power of it.
+
+    u: (N, thrusters), normalized thrust.  max_power: of one thruster at full thrust [W].  Returns (N,) [W].
+    """
+    total: Array = (abs(u) ** 1.5).sum(axis=1) * max_power
+    return total
+
+
+def energy(time: Array, u: Array, max_power: float) -> float:
+    """What the thrusters take over the window [J]; see `power`."""
+    return _integral(time, power(u, max_power))
+
+
+def mean_power(time: Array, u: Array, max_power: float) -> float:
+    """Energy by duration [W]; see `power`."""
+    return energy(time, u, max_power) / float(time[-1] - time[0]) if len(time) > 1 else math.nan
+
+
 def distance(time: Array, position: Array, other: Array) -> Array:
     """Euclidean distance of two points.  position, other: (N, 3) in NED [m].  Returns (N,) [m]."""
     difference = position - other
@@ -63,9 +116,13 @@ def distance(time: Array, position: Array, other: Array) -> Array:
 
 
 def heading_difference(time: Array, heading: Array, other: Array) -> Array:
-    """heading - other.  heading, other: (N,) [rad].  Returns (N,) in [0, 360) degrees."""
-    result: Array = (heading - other) * (180 / math.pi) % 360.0
+    """heading - other.  heading, other: (N, 1) [rad].  Returns (N,) in [0, 360) degrees."""
+    result: Array = (heading - other)[:, 0] * (180 / math.pi) % 360.0
     return result
+
+
+def _integral(time: Array, values: Array) -> float:
+    return float(((values[1:] + values[:-1]) / 2 * (time[1:] - time[:-1])).sum())
 
 
 STATISTICS: dict[str, Callable[[Array], Any]] = {
@@ -76,25 +133,34 @@ STATISTICS: dict[str, Callable[[Array], Any]] = {
 
 
 @dataclass(frozen=True)
-class _Form:
-    """How a metric is asked for: its keys beside `of`, `signal`, `after`, `before`."""
+class Metric:
+    """A function and how [metrics] asks for it: its keys beside `of`, `signal`, `after`, `before`."""
 
+    function: Callable[..., Any]
+    unit: str = "{}"  # of the number; {} is the signal's, or the one asked for
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ("reference", "unit")
-    axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name
+    axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name; ("*",): all that there are
 
 
-SCALAR: dict[str, Callable[..., float]] = {
-    "rmse": rms, "rms": rms, "max_abs": max_abs, "final": final, "settling_time": settling_time,
-}  # fmt: skip
-FORMS = {
-    "rmse": _Form(needs=("reference",), takes=("unit",)),
-    "rms": _Form(),
-    "max_abs": _Form(),
-    "final": _Form(),
-    "settling_time": _Form(needs=("band",), takes=("reference", "unit")),
-    "distance": _Form(needs=("reference",), takes=("stat",), axes=("x", "y", "z")),
-    "heading_difference": _Form(needs=("reference",), takes=("stat",), axes=("psi",)),
+NUMBERS = ("band", "max_power")  # keys that are handed to the function
+
+METRICS = {
+    "rmse": Metric(rms, needs=("reference",), takes=("unit",)),
+    "rms": Metric(rms),
+    "iae": Metric(iae, "{}.s"),
+    "ise": Metric(ise, "({})2.s"),
+    "itae": Metric(itae, "{}.s2"),
+    "max_abs": Metric(max_abs),
+    "final": Metric(final),
+    "settling_time": Metric(settling_time, "s", needs=("band",)),
+    "convergence_time": Metric(convergence_time, "s", needs=("band",)),
+    "overshoot": Metric(overshoot, "%", needs=("reference",), takes=()),
+    "total_variation": Metric(total_variation, takes=("unit",)),
+    "energy": Metric(energy, "J", needs=("max_power",), takes=(), axes=("*",)),
+    "mean_power": Metric(mean_power, "W", needs=("max_power",), takes=(), axes=("*",)),
+    "distance": Metric(distance, "m", needs=("reference",), takes=("stat",), axes=("x", "y", "z")),
+    "heading_difference": Metric(heading_difference, "deg", needs=("reference",), takes=("stat",), axes=("psi",)),
 }
 
 
@@ -108,8 +174,9 @@ def evaluate(run: Run, specs: Mapping[str, Mapping[str, Any]]) -> dict[str, floa
 
 def unit_of(spec: Mapping[str, Any], units: Mapping[str, str]) -> str:
     """The unit of a metric's number.  units: {signal: unit}."""
-    fixed = {"distance": "m", "heading_difference": "deg", "settling_time": "s"}
-    return fixed.get(spec["of"]) or spec.get("unit") or units.get(spec["signal"], "")
+    unit = spec.get("unit") or units.get(spec["signal"], "")
+    shown = METRICS[spec["of"]].unit.format(unit)
+    return shown.replace("1.s", "s").replace("(1)2.s", "s") if unit == "1" else shown
 
 
 def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> list[Problem]:
@@ -120,21 +187,25 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
         found.append(Problem(f"{key}.{name}", sentence))
 
     of = spec.get("of")
-    if of not in FORMS:
-        problem("of", ("is missing" if of is None else f"no metric {of!r}") + did_you_mean(str(of), FORMS))
+    if of not in METRICS:
+        problem("of", ("is missing" if of is None else f"no metric {of!r}") + did_you_mean(str(of), METRICS))
         return found
-    form = FORMS[of]
-    keys = ("of", "signal", "after", "before", *form.needs, *form.takes)
+    metric = METRICS[of]
+    keys = ("of", "signal", "after", "before", *metric.needs, *metric.takes)
     for name in spec:
         if name not in keys:
             problem(name, f"{of} takes no {name!r}{did_you_mean(name, keys)}")
-    for name in ("signal", *form.needs):
+    for name in ("signal", *metric.needs):
         if name not in spec:
             problem(name, "is missing")
     for name in ("signal", "reference"):
         if name in spec:
-            _check_signal(name, spec[name], form, units, problem)
-    for name in ("after", "before", "band"):
+            missing = [s for s in _signals(str(spec[name]), metric, units) if s not in units]
+            if missing:
+                choices = {s.rpartition(".")[0] for s in units} if metric.axes else units
+                near = did_you_mean(str(spec[name]), sorted(choices), "recorded")
+                problem(name, f"no recorded signal {spec[name]!r}{near}")
+    for name in ("after", "before", *NUMBERS):
         value = spec.get(name, 0.0)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             problem(name, f"is {value!r}, not a number")
@@ -149,17 +220,11 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
     return found
 
 
-def _check_signal(
-    name: str, signal: Any, form: _Form, units: Mapping[str, str], problem: Callable[[str, str], None]
-) -> None:
-    missing = [s for s in _signals(str(signal), form) if s not in units]
-    if missing:
-        choices = {s.rpartition(".")[0] for s in units} if form.axes else units
-        problem(name, f"no recorded signal {signal!r}{did_you_mean(str(signal), sorted(choices), 'recorded')}")
-
-
-def _signals(signal: str, form: _Form) -> list[str]:
-    return [f"{signal}.{axis}" for axis in form.axes] if form.axes else [signal]
+def _signals(signal: str, metric: Metric, recorded: Iterable[str]) -> list[str]:
+    """The scalar signals that a metric's `signal` names."""
+    if metric.axes == ("*",):
+        return [s for s in recorded if s.rpartition(".")[0] == signal] or [signal]
+    return [f"{signal}.{axis}" for axis in metric.axes] if metric.axes else [signal]
 
 
 def _factor(spec: Mapping[str, Any], unit: str) -> float:
@@ -175,19 +240,17 @@ def _evaluate(run: Run, spec: Mapping[str, Any]) -> float:
     window = (time >= spec.get("after", 0.0)) & (time <= spec.get("before", math.inf))
     if not window.any():
         return math.nan
-    form = FORMS[spec["of"]]
-    if form.axes:
-        vectors = [
-            np.column_stack([run[s][window] for s in _signals(spec[end], form)]) for end in ("signal", "reference")
-        ]
-        if spec["of"] == "distance":
-            values = distance(time[window], vectors[0], vectors[1])
-        else:
-            values = heading_difference(time[window], vectors[0][:, 0], vectors[1][:, 0])
-        return float(STATISTICS[spec.get("stat", "mean")](values))
-    error = run[spec["signal"]][window].astype(float)
-    if "reference" in spec:
-        error = error - run[spec["reference"]][window]
-    error = error * _factor(spec, run.units(spec["signal"]))
-    extra = {"band": spec["band"]} if spec["of"] == "settling_time" else {}
-    return SCALAR[spec["of"]](time[window], error, **extra)
+    metric = METRICS[spec["of"]]
+    numbers = {name: spec[name] for name in NUMBERS if name in spec}
+    if not metric.axes:
+        error = run[spec["signal"]][window].astype(float)
+        if "reference" in spec:
+            error = error - run[spec["reference"]][window]
+        return float(metric.function(time[window], error * _factor(spec, run.units(spec["signal"])), **numbers))
+    vectors = [
+        np.column_stack([run[s][window] for s in _signals(spec[end], metric, run.signals)])
+        for end in ("signal", "reference")
+        if end in spec
+    ]
+    value = metric.function(time[window], *vectors, **numbers)
+    return float(STATISTICS[spec.get("stat", "mean")](value)) if "stat" in metric.takes else float(value)

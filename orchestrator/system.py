@@ -11,7 +11,7 @@ import ctypes
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -51,8 +51,9 @@ class Member:
     at_period_end: list[Action] = field(default_factory=list)
     staged: list[Action] = field(default_factory=list)  # all of what it has computed into the table
     sums: list[Action] = field(default_factory=list)  # nan where a staged value is not finite
-    outputs: list[Variable] = field(default_factory=list)  # its real outputs, and where `gets` write them
+    outputs: list[Variable] = field(default_factory=list)  # its real outputs, where `gets` write them, their places
     values: Any = ()
+    places: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         self.step = partial(self.instance.function("fmi2DoStep"), ctypes.c_void_p(self.instance.component))
@@ -227,7 +228,7 @@ class System:
             if kind == "real":
                 member.sums.append(partial(buffer.dot, np.zeros(n)))
         if kind == "real":
-            member.outputs, member.values = variables, buffer
+            member.outputs, member.values, member.places = variables, buffer, range(first, first + n)
         member.gets.append(_call(member, f"fmi2Get{kind.capitalize()}", kind, variables, buffer, reads=True))
 
 
