@@ -186,6 +186,19 @@ def fmus(name: str | None, as_json: bool) -> None:
 
 
 @orch.command()
+@click.argument("run", metavar="RUN")
+@_results
+@_json
+def show(run: str, results: str, as_json: bool) -> None:
+    """Show a record: how it ended, what made it, metrics, warnings.  RUN: an id, a prefix, a file, or "last"."""
+    from . import show as shown
+    from .store import open_run
+
+    with open_run(run, results) as record:
+        click.echo(json.dumps(shown.record_as_json(record)) if as_json else shown.record(record))
+
+
+@orch.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 @click.option("--output", "-o", metavar="FILE", help="PNG, PDF or SVG; default: beside the record, as .png")
 @click.option("--signals", metavar="GLOB", multiple=True, help="Plot these signals over time instead of the overview.")
@@ -199,6 +212,41 @@ def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], re
     records = [open_run(store.find(name)) for name in runs]
     target = Path(output) if output else records[0].path.with_suffix(".png")
     click.echo(show.short(plots.draw(records, target, signals)))
+
+
+@orch.command()
+@click.argument("experiment", metavar="EXPERIMENT.toml")
+@click.option("--steps", metavar="S,S,...", help="Communication steps [s]; default: 4, 2, 1 and 1/2 times its own.")
+@_changes
+@click.option("--output", "-o", metavar="FILE", help="The figure; default: RESULTS/_converge/EXPERIMENT.png")
+@_results
+@_json
+def converge(
+    experiment: str, steps: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], output: str | None, results: str,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Run an experiment at several steps: is the result converged?  Exit code 1 where it is not.
+
+    \b
+    orch converge experiments/spiral_pid.toml
+    orch converge experiments/spiral_pid.toml --swap controller=mfsosmc --steps 1e-3,5e-4,2.5e-4
+    """
+    from . import converge as study
+    from . import metrics, show
+
+    plan = _prepare(experiment, sets, swaps, _silent if as_json else _tell)
+    try:
+        chosen = [float(step) for step in steps.split(",")] if steps else study.default_steps(plan)
+    except ValueError:
+        raise click.UsageError(f"--steps {steps}: write numbers of seconds, such as --steps 1e-3,5e-4,2.5e-4") from None
+    arguments = [experiment, "--results", results]
+    arguments += [word for text in sets for word in ("--set", text)] + [w for text in swaps for w in ("--swap", text)]
+    units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
+    names = {name: metrics.unit_of(spec, units) for name, spec in plan.experiment.metrics.items()}
+    found = study.study(plan, chosen, arguments, names, _silent if as_json else _tell)
+    figure = study.draw(found, Path(output) if output else Path(results) / "_converge" / f"{found.experiment}.png")
+    click.echo(json.dumps(study.as_json(found)) if as_json else f"{study.report(found)}\n{show.short(figure)}")
+    return 0 if found.converged else 1
 
 
 @orch.command()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from . import metrics
 from .errors import ExperimentError, OrchError
 from .fmu import Fmu, split_axis
 from .runner import Result
-from .store import finite
+from .store import Run, finite
 from .wiring import Plan
 
 
@@ -32,17 +33,54 @@ def result(result: Result, plan: Plan) -> str:
     ]
     if result.metrics:
         units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
-        rows = []
-        for name, value in result.metrics.items():
-            unit = metrics.unit_of(plan.experiment.metrics[name], units)
-            shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
-            rows.append((name, shown, "" if unit == "1" else unit))
-        lines += ["  metrics", *_table(rows, indent=4)]
+        lines += ["  metrics", *_table(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
     return "\n".join(lines)
 
 
 def _why_not(value: float) -> str:
     return "no sample in its window" if math.isnan(value) else "never"
+
+
+def record(run: Run) -> str:
+    """A record, as `orch show` prints it."""
+    facts = run.attributes
+    rows = [("file", short(run.path)), ("title", facts["title"]), ("created", facts["created"])]
+    rows += [(name.replace("_", " "), facts[name]) for name in ("command", "git_commit", "platform") if facts[name]]
+    rows += [(name.replace("_", " "), f"{facts[name]:.10g} s") for name in ("failed_at", "stopped_at") if name in facts]
+    rows += [
+        ("error", facts["error"]),
+        ("steps", f"{facts['step']:g} s, {facts['algorithm']}; {len(run.time)} rows"),
+        ("wall time", f"{facts['wall_time']:.4g} s, {facts['real_time_factor']:.4g}x real time"),
+        ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
+    ]
+    plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
+    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *_table(plain, indent=2), "", "  components"]
+    lines += _table(
+        [(c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
+         for c in facts["experiment_resolved"]["components"]], indent=4, cut=True,
+    )  # fmt: skip
+    if run.metrics:
+        units = {name: run.units(name) for name in run.signals}
+        specs = facts["experiment_resolved"]["metrics"]
+        lines += ["", "  metrics", *_table(_metrics(run.metrics, specs, units), indent=4)]
+    lines += [f"warning: {warning}" for warning in facts["warnings"]]
+    return "\n".join(lines)
+
+
+def record_as_json(run: Run) -> dict[str, Any]:
+    facts = {name: value for name, value in run.attributes.items() if value == value}  # JSON has no nan
+    return {**facts, "status": run.status, "file": str(run.path), "rows": len(run.time), "signals": run.signals}
+
+
+def _metrics(
+    values: Mapping[str, float], specs: Mapping[str, Mapping[str, Any]], units: Mapping[str, str]
+) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for name, value in values.items():
+        unit = metrics.unit_of(specs[name], units)
+        shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
+        rows.append((name, shown, "" if unit == "1" else unit))
+    return rows
 
 
 def result_as_json(result: Result) -> dict[str, Any]:
