@@ -249,6 +249,27 @@ def converge(
     return 0 if found.converged else 1
 
 
+@orch.command(
+    epilog="Example: orch reproduce thesis --only 5.2 --only fig5.57.  Exit code 1: a number lies outside its band."
+)
+@click.argument("what", metavar="thesis", type=click.Choice(["thesis"]))
+@click.option("--only", metavar="TABLE|FIGURE", multiple=True,
+              help="Do what this needs, such as 5.2 (the table), fig5.2, 5.57, claims, steps.")  # fmt: skip
+@click.option("--quick", is_flag=True, help="Coarser steps, and no step study.")
+@_results
+def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> int:
+    """Rebuild every table, claim and figure of the thesis in DIR/_thesis, each number against the published one.
+
+    Runs that the store has are not repeated, figures whose runs have not changed are not redrawn.
+    """
+    from . import reproduce as thesis
+    from . import show
+
+    outcome = thesis.reproduce(only, quick, results, _tell)
+    click.echo(thesis.report(outcome, show.short(outcome.folder)))
+    return 1 if outcome.outside else 0
+
+
 @orch.command()
 @click.argument("kind", type=click.Choice(["controller", "experiment"]))
 @click.argument("name")

@@ -63,7 +63,9 @@ class RunError(OrchError):
 def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:
     """ "; did you mean 'eta'?  known: eta, nu" or what of it there is to say."""
     choices = list(choices)
+    lower = {choice.lower(): choice for choice in choices}
     near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
+    near += [lower[found] for found in difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)]
     hint = f"; did you mean {near[0]!r}?" if near else ";"
     if not choices:
         return f"{hint} there is none" if near else ""

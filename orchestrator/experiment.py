@@ -81,9 +81,10 @@ def load(path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[s
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
     reader = _Reader()
-    for key, value in (set or {}).items():
-        reader.overlay(table, key, value)
+    # The swap first: it drops parameters of the FMU that leaves, not those that are set for the one that comes.
     notes = [reader.swap(table, name, fmu) for name, fmu in (swap or {}).items()]
+    for key, value in (set or {}).items():
+        reader.overlay(table, key, _plain(value))
     return reader.experiment(path, text, table, tuple(note for note in notes if note), tuple(swap or ()))
 
 
@@ -111,8 +112,11 @@ class _Reader:
     def overlay(self, table: dict[str, Any], key: str, value: Any) -> None:
         """Lay one --set over the file."""
         parts = split_key(key)
-        if len(parts) > 2 and parts[0] == "components" and parts[1] not in table.get("components", {}):
-            known = table.get("components", {})
+        if not parts:
+            return self.problem(f"--set {key}", "is no dotted key, such as master.stop_time")
+        components = table.get("components")
+        known = components if isinstance(components, dict) else {}
+        if len(parts) > 2 and parts[0] == "components" and parts[1] not in known:
             return self.problem(f"--set {key}", f"no component {parts[1]!r}{did_you_mean(parts[1], known)}")
         node: Any = table
         for i, part in enumerate(parts[:-1]):
@@ -127,9 +131,10 @@ class _Reader:
 
     def swap(self, table: dict[str, Any], name: str, fmu: str) -> str:
         components = table.get("components")
-        component = components.get(name) if isinstance(components, dict) else None
+        known = components if isinstance(components, dict) else {}
+        component = known.get(name)
         if not isinstance(component, dict):
-            self.problem(f"--swap {name}", f"no component {name!r}{did_you_mean(name, components or ())}")
+            self.problem(f"--swap {name}", f"no component {name!r}{did_you_mean(name, known)}")
             return ""
         dropped = component.pop("parameters", None)
         was, component["fmu"] = component.get("fmu"), fmu
@@ -164,7 +169,10 @@ class _Reader:
             self.problem("master.algorithm", f"no {algorithm!r}{did_you_mean(algorithm, ALGORITHMS)}")
         if "step" in table and "stop_time" in table:
             self.multiple(stop_time, step, "master.stop_time")
-        return Master(stop_time, step, algorithm, self.typed(table, "seed", "master", int, None))
+        seed = self.typed(table, "seed", "master", int, None)
+        if seed is not None and abs(seed) >= 1 << 63:
+            self.problem("master.seed", f"{seed} does not fit 64 bits")
+        return Master(stop_time, step, algorithm, seed)
 
     def components(self, table: dict[str, Any], master: Master, swapped: tuple[str, ...]) -> tuple[Component, ...]:
         found = []
@@ -173,8 +181,10 @@ class _Reader:
             entry = self.table(table, name, "components")
             if not re.fullmatch(r"[A-Za-z_]\w*", name):
                 self.problem(key, "a component's name is letters, digits and _, and begins with no digit")
+            if name == "time":
+                self.problem(key, "is where the record keeps the time; give the component another name")
             self.known(entry, ("fmu", "parameters", "start", "step"), key)
-            if "fmu" not in entry:
+            if isinstance(table[name], dict) and entry.get("fmu", "") == "":
                 self.problem(f"{key}.fmu", "is missing; give the name of a model or the path of an .fmu")
             start = entry.get("start", {})
             if not isinstance(start, dict) and start != "fmu":
@@ -245,6 +255,17 @@ class _Reader:
         for key in table:
             if key not in names:
                 self.problem(f"{path}.{key}".lstrip("."), f"unknown key{did_you_mean(key, names)}")
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of numpy, tuples and paths as a file would give them."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(below) for key, below in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(below) for below in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def _no_such_file(path: Path) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import stat
 import sys
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,8 @@ from .errors import FmuError
 
 MAX_SIZE = 4 << 30  # bytes of all files of an archive together
 MAX_RATIO = 200  # unpacked to packed
+# What zipfile raises at damaged, encrypted and oddly compressed members.
+DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError)
 
 KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"}
 
@@ -39,6 +42,15 @@ class Variable:
     def kind(self) -> str:
         """Which of FMI 2.0's getters and setters it takes: real, integer, boolean or string."""
         return KINDS[self.type]
+
+    @property
+    def initial(self) -> Any:
+        """Its start value as a number, a truth or a text; 0, False or "" where the FMU gives none."""
+        if self.type == "String":
+            return self.start or ""
+        if self.type == "Boolean":
+            return self.start in ("true", "1")
+        return float(self.start or 0) if self.type == "Real" else int(self.start or 0)
 
 
 @dataclass(frozen=True)
@@ -107,6 +119,8 @@ def read(path: Path) -> Fmu:
             modules = dict(_python_modules(archive, names))
     except zipfile.BadZipFile:
         raise FmuError(f"{path} is no FMU: not a zip file") from None
+    except DAMAGED as error:
+        raise FmuError(f"{path} is damaged: {error}") from None
     if "modelDescription.xml" not in names:
         raise FmuError(f"{path} is no FMU: it has no modelDescription.xml")
     description = _description(path)
@@ -129,9 +143,14 @@ def read(path: Path) -> Fmu:
 
 
 def unpack(fmu: Fmu, folder: Path) -> None:
-    """Unpack the archive, checked by `read`, into `folder`."""
-    with zipfile.ZipFile(fmu.path) as archive:
-        archive.extractall(folder)
+    """Unpack the archive, checked by `read`.  Raises FmuError where it is damaged or the disk is full."""
+    try:
+        with zipfile.ZipFile(fmu.path) as archive:
+            archive.extractall(folder)
+    except OSError as error:
+        raise FmuError(f"{fmu.path} cannot be unpacked into {folder}: {error.strerror}") from None
+    except DAMAGED as error:
+        raise FmuError(f"{fmu.path} is damaged: {error}") from None
 
 
 def platform_folder() -> tuple[str, str]:
@@ -189,11 +208,12 @@ def _python_modules(archive: zipfile.ZipFile, names: set[str]) -> Iterator[tuple
 
 def _variables(description: Any) -> Iterator[tuple[str, Variable]]:
     unknowns = {id(u.variable): u for u in description.outputs}
+    has_inputs = any(v.causality == "input" for v in description.modelVariables)
     for v in description.modelVariables:
         unknown = unknowns.get(id(v))
         dependencies = unknown.dependencies if unknown is not None else None
         # FMI 2.0, 2.2.8: without a list of dependencies, an unknown depends on all inputs.
-        feedthrough = dependencies is None or any(d.causality == "input" for d in dependencies)
+        feedthrough = has_inputs if dependencies is None else any(d.causality == "input" for d in dependencies)
         declared = v.declaredType
         items = tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else ()
         unit = v.unit or (declared.unit if declared is not None else None) or ""

@@ -42,7 +42,7 @@ class Instance:
         from fmpy.fmi2 import FMU2Slave
 
         self.name, self.fmu = name, fmu
-        self.healthy = False
+        self.healthy = self._begun = False
         environment = next(_ENVIRONMENTS)
         self._messages = _MESSAGES[environment] = deque[str](maxlen=20)
         try:
@@ -86,6 +86,11 @@ class Instance:
             self.set(self.fmu.variables[name], value)
         self.call("fmi2EnterInitializationMode")
 
+    def begin(self) -> None:
+        """Leave initialization mode: steps may follow.  Raises CallFailed."""
+        self.call("fmi2ExitInitializationMode")
+        self._begun = True
+
     def set(self, variable: Variable, value: Any) -> None:
         """Set one variable.  Raises CallFailed."""
         kind = variable.kind
@@ -107,14 +112,14 @@ class Instance:
             return self.fmu.packaging == "python"
         return bool(ended.value)
 
-    def close(self, terminate: bool = True) -> None:
+    def close(self) -> None:
         """Terminate and free the instance; one that has failed is left alone, for freeing it may crash."""
         if not self.healthy:
             return
         self.healthy = False
         component = ctypes.c_void_p(self.component)
-        if terminate:
-            self.function("fmi2Terminate")(component)
+        if self._begun and self.function("fmi2Terminate")(component) > WARNING:
+            return
         self.function("fmi2FreeInstance")(component)
 
     def take_messages(self) -> list[str]:

@@ -61,26 +61,33 @@ class Observer(Protocol):
     def progress(self, tick: int) -> None: ...
 
 
-def run(system: System, observers: Sequence[Observer]) -> Outcome:
-    """Run the opened system to its end, a failure, or Ctrl-C."""
+def run(system: System, observers: Sequence[Observer], interrupted: threading.Event | None = None) -> Outcome:
+    """Run the opened system to its end, to a failure, or until `interrupted` is set."""
     outcome = Outcome("completed")
-    with _interruptible() as interrupted:
-        try:
-            system.initialize()
-            _loop(system, observers, outcome, interrupted)
-        except MemberFailed as failure:
-            _fail(system, outcome, failure)
-        except AlgebraicLoop as loop:
-            outcome.status, outcome.error, outcome.failed_at = "failed", str(loop), 0.0
+    try:
+        system.initialize()
+        _loop(system, observers, outcome, interrupted or threading.Event())
+    except MemberFailed as failure:
+        _fail(system, outcome, _cause(system, failure))
+    except AlgebraicLoop as loop:
+        outcome.status, outcome.error, outcome.failed_at = "failed", str(loop), 0.0
     outcome.warnings += [
         f"{member.part.name}: {words}" for member in system.members for words in member.instance.take_messages()
     ]
     return outcome
 
 
+def _cause(system: System, failure: MemberFailed) -> MemberFailed:
+    """What gave a value that is not finite failed before what choked on it in the same step."""
+    for member in system.members:
+        if member is not failure.member and (words := member.not_finite()):
+            return MemberFailed(member, words)
+    return failure
+
+
 def _fail(system: System, outcome: Outcome, failure: MemberFailed) -> None:
     grid = system.plan.experiment.grid
-    if failure.status == DISCARD and outcome.ticks and failure.member.instance.wants_to_end():
+    if failure.status == DISCARD and failure.member.instance.wants_to_end():
         outcome.stopped_at = grid.time(outcome.ticks)
         return
     outcome.status = "failed"
@@ -97,7 +104,7 @@ def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, inter
         began = time.perf_counter()
         last = min(steps, outcome.ticks + chunk)
         try:
-            _advance(system, rows, alternations, outcome, last)
+            _advance(system, rows, alternations, outcome, last, interrupted)
         finally:
             rows.hand_to(observers)
         elapsed = time.perf_counter() - began
@@ -110,7 +117,9 @@ def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, inter
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(outcome.ticks):.10g} s"
 
 
-def _advance(system: System, rows: _Rows, alternations: Alternations, outcome: Outcome, last: int) -> None:
+def _advance(
+    system: System, rows: _Rows, alternations: Alternations, outcome: Outcome, last: int, interrupted: threading.Event
+) -> None:
     """Step until tick `last`.  Raises MemberFailed; `outcome.ticks` then names the start of the failed step."""
     grid, stride = system.plan.experiment.grid, system.plan.stride
     members = [(member, member.part.period) for member in system.members]
@@ -118,6 +127,8 @@ def _advance(system: System, rows: _Rows, alternations: Alternations, outcome: O
     checked = system.tables["real"][: system.computed["real"]]
     zeros = np.zeros(len(checked))
     for k in range(outcome.ticks, last):
+        if interrupted.is_set():
+            return
         t = ctypes.c_double(grid.time(k))
         for member, period in members:
             if period > 1 and k % period:
@@ -191,7 +202,7 @@ class _Rows:
 
 
 @contextmanager
-def _interruptible() -> Iterator[threading.Event]:
+def interruptible() -> Iterator[threading.Event]:
     """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
     flag = threading.Event()
     if threading.current_thread() is not threading.main_thread():

@@ -118,6 +118,7 @@ def distance(time: Array, position: Array, other: Array) -> Array:
 def heading_difference(time: Array, heading: Array, other: Array) -> Array:
     """heading - other.  heading, other: (N, 1) [rad].  Returns (N,) in [0, 360) degrees."""
     result: Array = (heading - other)[:, 0] * (180 / math.pi) % 360.0
+    result[result == 360.0] = 0.0  # what remains of a difference just below zero, rounded
     return result
 
 
@@ -186,6 +187,11 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
     def problem(name: str, sentence: str) -> None:
         found.append(Problem(f"{key}.{name}", sentence))
 
+    no_texts = [n for n in ("of", "signal", "reference", "unit", "stat") if not isinstance(spec.get(n, ""), str)]
+    for name in no_texts:
+        problem(name, f"is {spec[name]!r}, not a text")
+    if no_texts:
+        return found
     of = spec.get("of")
     if of not in METRICS:
         problem("of", ("is missing" if of is None else f"no metric {of!r}") + did_you_mean(str(of), METRICS))
@@ -209,9 +215,14 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
         value = spec.get(name, 0.0)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             problem(name, f"is {value!r}, not a number")
+        elif name in NUMBERS and name in spec and value <= 0:
+            problem(name, f"is {value!r}; give a positive number")
     after, before = spec.get("after", 0.0), spec.get("before", math.inf)
     if all(isinstance(v, (int, float)) for v in (after, before)) and not 0 <= after < before:
         problem("after", f"the window from {after} to {before} s is empty")
+    unit, other = (units.get(spec.get(end, ""), "") for end in ("signal", "reference"))
+    if unit and other and unit != other:
+        problem("reference", f"{spec['reference']} is in {other!r}, {spec['signal']} in {unit!r}")
     if spec.get("stat", "mean") not in STATISTICS:
         problem("stat", f"no {spec['stat']!r}{did_you_mean(str(spec['stat']), STATISTICS)}")
     if "unit" in spec and spec.get("signal") in units and not _factor(spec, units[spec["signal"]]):

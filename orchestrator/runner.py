@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import itertools
 import os
 from collections.abc import Mapping, Sequence
@@ -12,9 +13,10 @@ from typing import Any
 from . import experiment as experiments
 from . import metrics
 from .errors import RunError, StoreError
-from .master import Observer
+from .master import Observer, Outcome, interruptible
 from .master import run as run_master
-from .store import ID_LENGTH, Recorder, Run, Store, is_locked, writer_of
+from .recorder import Recorder
+from .store import ID_LENGTH, Run, Store, being_written, is_hdf5, is_locked
 from .system import System
 from .wiring import Plan, prepare
 
@@ -47,10 +49,13 @@ def run(
 
     set: {dotted key: value} laid over the file.  swap: {component: FMU}.  output: the file to write, instead of one in
     the store `results`.  force: run again although a completed record is there.
-    Raises ExperimentError where it cannot run, RunError, with `.run` open on the record, where it fails.
+    Raises ExperimentError where it cannot run, RunError, with `.run` open on the record, where it fails, and
+    KeyboardInterrupt at Ctrl-C, when the record is closed.
     """
     plan = prepare(experiments.load(path, set, swap))
     result = execute(plan, output, results, force)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt(f"{result.file}: {result.error}")
     record = Run(result.file)
     if result.status == "failed":
         raise RunError(f"{result.file}: {result.error}", record)
@@ -69,20 +74,23 @@ def execute(
     if output is None and not force and _status(final) == "completed":
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
-    # An earlier record stays until the new one is completed.
-    path = _beside(final) if final.exists() else final
     values: Mapping[str, float] = {}
-    with System.open(plan) as system:
+    with interruptible() as interrupted, System.open(plan, interrupted) as system:
+        # An earlier record stays until the new one is completed.
+        path = _beside(final) if final.exists() else final
+        _refuse_second_writer(final)  # one may have begun since; one that begins now finds `path` taken
         recorder = Recorder(path, plan, run_id)
         try:
-            outcome = run_master(system, [recorder, *observers])
+            outcome = run_master(system, [recorder, *observers], interrupted)
+            recorder.flush()
             wall_time, factor = recorder.finish(outcome)
             if outcome.status == "completed":
                 values = metrics.evaluate(Run(path, recorder.file), plan.experiment.metrics)
             recorder.close(outcome.status, values)
         except StoreError as error:
-            recorder.abandon()
-            raise RunError(f"{error}; the run stopped, and {path} keeps the rows written before") from None
+            ticks, values = recorder.ticks, {}
+            outcome = Outcome("failed", ticks, str(error), failed_at=plan.experiment.grid.time(ticks))
+            wall_time, factor = _give_up(recorder, outcome)
         except BaseException:
             recorder.abandon()
             raise
@@ -93,9 +101,23 @@ def execute(
                   outcome.stopped_at)  # fmt: skip
 
 
+def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:
+    """Close a record that could not be written further.  Raises RunError where not even that is possible."""
+    try:
+        times = recorder.finish(outcome)
+        recorder.close(outcome.status)
+    except StoreError:
+        recorder.abandon()
+        raise RunError(f"{outcome.error}; the record holds the rows written before, and no word of the end") from None
+    return times
+
+
 def _place(plan: Plan, output: str | Path | None, results: str | Path) -> tuple[str, Path]:
     if output is not None:
-        return plan.digest[:ID_LENGTH], Path(output)
+        path = Path(output)
+        if path.is_dir() or (path.exists() and path.stat().st_size and not is_hdf5(path)):
+            raise StoreError(f"{path} is there and is no record; it stays as it is: give --output another name")
+        return plan.digest[:ID_LENGTH], path
     return Store(results).place(plan.experiment.path.stem, plan.digest)
 
 
@@ -121,10 +143,9 @@ def _recall(run_id: str, path: Path, plan: Plan) -> Result:
 
 
 def _refuse_second_writer(path: Path) -> None:
-    for other in [path, *path.parent.glob(f"{path.stem}.*{path.suffix}")]:
+    for other in [path, *path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")]:
         if other.exists() and is_locked(other):
-            raise StoreError(f"{other} is being written by {writer_of(other)}; wait for it, or write to another file "
-                             "with --output")  # fmt: skip
+            raise being_written(other)
 
 
 def _beside(path: Path) -> Path:

@@ -11,6 +11,7 @@ import ctypes
 import math
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -70,8 +71,8 @@ class System:
     """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
     outputs; `recorded`: {kind: places}."""
 
-    def __init__(self, plan: Plan):
-        self.plan = plan
+    def __init__(self, plan: Plan, interrupted: threading.Event | None = None):
+        self.plan, self._interrupted = plan, interrupted
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
@@ -86,9 +87,12 @@ class System:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, plan: Plan) -> Iterator[System]:
-        """Instantiate the FMUs; frees them at the end.  Raises FmuError where one cannot be instantiated."""
-        system = cls(plan)
+    def open(cls, plan: Plan, interrupted: threading.Event | None = None) -> Iterator[System]:
+        """Instantiate the FMUs; frees them at the end.
+
+        Raises FmuError where one cannot be instantiated, KeyboardInterrupt where `interrupted` is set meanwhile.
+        """
+        system = cls(plan, interrupted)
         try:
             yield system
         finally:
@@ -127,7 +131,7 @@ class System:
             raise AlgebraicLoop(changed)
         for member in self.members:
             with failing(member):
-                member.instance.call("fmi2ExitInitializationMode")
+                member.instance.begin()
         for member in self.members:
             self._read(member)
             if member.not_finite():
@@ -152,6 +156,8 @@ class System:
         folders: dict[Path, Path] = {}
         master = self.plan.experiment.master
         for part in self.plan.parts:
+            if self._interrupted is not None and self._interrupted.is_set():
+                raise KeyboardInterrupt
             if part.fmu.path not in folders:
                 folders[part.fmu.path] = Path(self._folder.name) / str(len(folders)) / part.fmu.model_identifier
                 unpack(part.fmu, folders[part.fmu.path])
@@ -199,9 +205,8 @@ class System:
                 if variables := outputs.of(name, kind):
                     self._wire_outputs(member, kind, variables, place[name, variables[0].name])
                 for variable in held.of(name, kind):
-                    value = member.part.start.get(variable.name, variable.start or 0)
-                    held_at = place[name, variable.name]
-                    self.tables[kind][held_at] = str(value).encode() if kind == "string" else float(value)
+                    value = member.part.start.get(variable.name, variable.initial)
+                    self.tables[kind][place[name, variable.name]] = value.encode() if kind == "string" else value
 
     def _wire_inputs(self, member: Member, kind: str, variables: list[Variable], first: int, sources: Any) -> None:
         table = self.tables[kind]
@@ -267,7 +272,7 @@ def failing(member: Member) -> Iterator[None]:
     try:
         yield
     except CallFailed as error:
-        raise MemberFailed(member, str(error), error.status) from None
+        raise MemberFailed(member, str(error)) from None
 
 
 def _call(member: Member, function: str, kind: str, variables: list[Variable], buffer: Any, reads: bool) -> Action:

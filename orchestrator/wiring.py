@@ -83,6 +83,7 @@ class _Resolver:
         self.problems = list(experiment.problems)
         self.notes = list(experiment.notes)
         self.fmus: dict[str, Fmu] = {}  # by component
+        self.broken: set[str] = set()  # inputs whose connection or start value is a problem
         self.components = {c.name: c for c in experiment.components}
 
     def plan(self) -> Plan:
@@ -133,8 +134,8 @@ class _Resolver:
                                  "process can hold only one; rename the module in one of them")  # fmt: skip
 
     def part(self, component: Component) -> Part:
-        fmu, key = self.fmus[component.name], f"components.{component.name}"
-        parameters = self.values(fmu, "parameter", component.parameters, f"{key}.parameters")
+        fmu = self.fmus[component.name]
+        parameters = self.values(component, "parameters", component.parameters)
         seed = fmu.variables.get("seed")
         if (
             self.experiment.master.seed is not None and seed is not None and "seed" not in parameters
@@ -149,15 +150,19 @@ class _Resolver:
                 for name in [n for n in table if not fmu.lookup(n)]:
                     self.notes.append(f"{component.name}: dropped start.{name}, which {fmu.model_name} lacks")
                     del table[name]
-            start = self.values(fmu, "input", table, f"{key}.start")
+            start = self.values(component, "start", table)
         grid = self.experiment.grid
         period = grid.ticks(component.step) if component.step is not None else 1
         return Part(component.name, component.fmu, fmu, period or 1, parameters, start)
 
-    def values(self, fmu: Fmu, causality: str, table: Mapping[str, Any], key: str) -> dict[str, Any]:
-        values, problems = flatten(fmu, causality, table)
+    def values(self, component: Component, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
+        """{FMI variable: value} of a component's table `parameters` or `start`."""
+        causality = "parameter" if section == "parameters" else "input"
+        values, problems = flatten(self.fmus[component.name], causality, table)
         for name, sentence in problems:
-            self.problem(f"{key}.{name}", sentence)
+            self.problem(f"components.{component.name}.{section}.{name}", sentence)
+            if section == "start":
+                self.broken.add(f"{component.name}.{name}")
         return values
 
     def links(self) -> list[Link]:
@@ -167,9 +172,13 @@ class _Resolver:
             key = f'connections."{sink}"'
             to, origin = self.end(sink, "input", key), self.end(source, "output", key)
             if to is None or origin is None:
+                self.broken.add(sink)
                 continue
             (sink_component, inputs), (source_component, outputs) = to, origin
-            for input, output in self.pairs(inputs, outputs, key, sink, source):
+            pairs = self.pairs(inputs, outputs, key, sink, source)
+            if not pairs:
+                self.broken.add(sink)
+            for input, output in pairs:
                 other = driver.setdefault((sink_component, input.name), source)
                 if other != source:
                     self.problem(key, f"{input.name} has two drivers: {other} and {source}; keep one")
@@ -243,11 +252,11 @@ class _Resolver:
         component = self.components[part.name]
         if component.start == "fmu":
             return
-        # An input whose connection is itself a problem is not reported a second time.
-        meant = {sink.partition(".")[2] for sink in self.experiment.connections if sink.startswith(part.name + ".")}
+        # An input that is a problem already is not reported a second time.
+        known = driven | set(part.start) | {sink.removeprefix(part.name + ".") for sink in self.broken}
         for name in part.fmu.names("input"):
-            missing = [axis for axis, v in part.fmu.lookup(name).items() if v.name not in driven | set(part.start)]
-            if missing and name not in meant and not any(m.startswith((name + ".", name + "[")) for m in meant):
+            missing = [axis for axis, v in part.fmu.lookup(name).items() if v.name not in known]
+            if missing and name not in known:
                 whole = len(missing) == len(part.fmu.lookup(name))
                 what = repr(name) if whole else f"{name!r} ({', '.join(missing)})"
                 self.problem(key, f"nothing drives its input {what}; connect it, give it a value in {key}.start, "
@@ -262,14 +271,13 @@ class _Resolver:
             for variable in fmu.variables.values()
             if variable.causality in wanted
         ]
-        include = [p for p in record.signals if not p.startswith("!")] or ["*"]
+        include = [p for p in record.signals if not p.startswith("!")] or ["*"] * bool(record.signals)
         exclude = [p[1:] for p in record.signals if p.startswith("!")]
         full = [f"{component}.{variable.name}" for component, variable in choices]
-        if len(self.fmus) == len(self.components):
-            for pattern in include:
-                if not any(matches(name, pattern) for name in full):
-                    vectors = {name.rpartition(".")[0] for name in full}
-                    self.problem("record.signals", f"{pattern!r} matches nothing{did_you_mean(pattern, vectors)}")
+        for pattern in include:
+            if self.judges(pattern) and not any(matches(name, pattern) for name in full):
+                vectors = dict.fromkeys(name.rpartition(".")[0] for name in full)
+                self.problem("record.signals", f"{pattern!r} matches nothing{did_you_mean(pattern, vectors)}")
         return [
             choice
             for choice, name in zip(choices, full, strict=True)
@@ -277,11 +285,16 @@ class _Resolver:
         ]
 
     def check_metrics(self, recorded: list[tuple[str, Variable]]) -> None:
-        if len(self.fmus) < len(self.components):
-            return  # what cannot be read cannot be told from what does not exist
-        units = {f"{component}.{variable.name}": variable.unit for component, variable in recorded}
+        units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind != "string"}
         for name, spec in self.experiment.metrics.items():
-            self.problems += metrics.problems(f"metrics.{name}", spec, units)
+            ends = [end for end in ("signal", "reference") if end in spec and not self.judges(spec[end])]
+            found = metrics.problems(f"metrics.{name}", spec, units)
+            self.problems += [p for p in found if p.key not in {f"metrics.{name}.{end}" for end in ends}]
+
+    def judges(self, signal: Any) -> bool:
+        """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
+        component = str(signal).partition(".")[0]
+        return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
 
     def resolved(self, parts: list[Part], links: list[Link], recorded: list[tuple[str, Variable]]) -> dict[str, Any]:
         master, record = self.experiment.master, self.experiment.record

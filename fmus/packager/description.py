@@ -40,6 +40,7 @@ def model_description(
     structure = ET.SubElement(root, "ModelStructure")
     shown = [s for s in scalars if s.causality == "output"]
     calculated = [s for s in scalars if s.causality in ("output", "calculatedParameter")]
+    states = model.layout().groups["state"]
     for section, unknowns in (("Outputs", shown), ("InitialUnknowns", calculated)):
         if unknowns:
             element = ET.SubElement(structure, section)
@@ -48,6 +49,8 @@ def model_description(
                 if equations is not None:
                     kind = equations.dependencies["outputs" if section == "Outputs" else "initial"]
                     known = sorted(index[other] for other in kind[scalar.name])
+                elif section == "Outputs" and states.start <= scalar.place < states.stop:
+                    known = []  # what a step has left behind depends on no input of the instant
                 _unknown(element, index[scalar.name], known)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"

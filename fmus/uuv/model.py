@@ -68,7 +68,8 @@ class Variable:
 
     def _suffixes(self) -> list[str]:
         if self.signal.axes:
-            return [f".{axis}" for axis in self.signal.axes]
+            # FMI's structured names know L[1] but not L.1
+            return [f"[{axis}]" if axis.isdecimal() else f".{axis}" for axis in self.signal.axes]
         if len(self.shape) == 2:  # the memory holds matrices column by column, as CasADi does
             return [f"[{i + 1},{j + 1}]" for j in range(self.shape[1]) for i in range(self.shape[0])]
         return [f"[{i + 1}]" for i in range(self.size)] if self.shape else [""]

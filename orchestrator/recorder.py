@@ -1,0 +1,287 @@
+"""Writes the record of a run: one HDF5 file, written while the run goes on.  The format is described in docs/record.md.
+
+HDF5 does not survive a write that fails: the file no longer opens, the process may crash.  So room on the disk is
+reserved before anything is written, and a little of it is always left for saying why a run ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import errno
+import json
+import math
+import os
+import platform
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from .errors import StoreError
+from .master import Block, Outcome
+from .store import FORMAT, FORMAT_VERSION, being_written, finite, first_line, patiently
+from .wiring import Plan
+
+CHUNK_ROWS = 1024
+FLUSH_SECONDS = 1.0
+ROOM = 1 << 16  # bytes kept free in the file for its last attributes
+HEADER = 1 << 12  # bytes that a signal takes without its values, and a node of its index, at most
+PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
+DTYPES: dict[str, Any] = {
+    "real": np.dtype(np.float64), "integer": np.dtype(np.int32), "boolean": np.dtype(np.int8),
+    "string": h5py.string_dtype(),
+}  # fmt: skip
+
+
+class Recorder:
+    """Writes a record.  Rows reach the disk at least every second of wall time, a time only when its row is there.
+
+    Raises StoreError where the file is there already or cannot be written.
+    """
+
+    def __init__(self, path: Path, plan: Plan, run_id: str):
+        self.path, self._plan = path, plan
+        self._waiting: list[Block] = []
+        self._rows = 0
+        self.ticks = 0  # of the last row on disk
+        attributes = _attributes(plan, run_id)
+        size = HEADER * (2 + len(plan.parts) + len(plan.recorded)) + 4 * sum(len(str(v)) for v in attributes.values())
+        _claim(path, size + ROOM)
+        try:
+            # v108: later formats mark an open file so that it does not open after a kill.
+            self.file = patiently(lambda: h5py.File(path, "w", libver=("earliest", "v108"), track_order=True))
+            with self._room(size):
+                self._create(attributes)
+        except BaseException:
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
+        self._began = self._flushed = time.monotonic()
+
+    def rows(self, block: Block) -> None:
+        if block.ticks[0] == 0:
+            self._began = time.monotonic()
+        self._waiting.append(block)
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            self.flush()
+
+    def progress(self, tick: int) -> None:
+        pass
+
+    def flush(self) -> None:
+        """Write what is waiting: first every signal, then, when those are on disk, the times."""
+        blocks, self._waiting = self._waiting, []
+        self._flushed = time.monotonic()
+        if not blocks:
+            return
+        ticks = [tick for block in blocks for tick in block.ticks]
+        first, last = self._rows, self._rows + len(ticks)
+        with self._room(self._size(last, blocks)):
+            for kind, datasets in self._datasets.items():
+                values = np.concatenate([block.values[kind] for block in blocks])
+                for column, dataset in enumerate(datasets):
+                    dataset.resize((last,))
+                    dataset[first:last] = values[:, column]
+            self.file.flush()
+            grid = self._plan.experiment.grid
+            self._time.resize((last,))
+            self._time[first:last] = [grid.time(tick) for tick in ticks]
+        self._rows, self.ticks = last, ticks[-1]
+
+    def finish(self, outcome: Outcome) -> tuple[float, float]:
+        """Write how the run ended; the file stays open for metrics.  Returns wall time [s] and real-time factor."""
+        wall_time = time.monotonic() - self._began
+        simulated = self._plan.experiment.grid.time(outcome.ticks)
+        factor = simulated / wall_time if wall_time else math.inf
+        attributes: dict[str, Any] = {
+            "error": outcome.error,
+            "wall_time": wall_time,
+            "real_time_factor": factor,
+            "warnings": json.dumps(outcome.warnings),
+        }
+        for name in ("failed_at", "stopped_at"):
+            if getattr(outcome, name) is not None:
+                attributes[name] = getattr(outcome, name)
+        with self._room(sum(map(len, outcome.warnings)) * 2):
+            self.file.attrs.update(attributes)
+        return wall_time, factor
+
+    def close(self, status: str, metrics: Mapping[str, float] | None = None) -> None:
+        """The last thing written is the status."""
+        text = json.dumps(finite(metrics or {}))
+        with self._room(len(text) if metrics else 0):
+            self.file.attrs["metrics"] = text
+            self.file.flush()
+            self.file.attrs["status"] = status
+        with self._writing():
+            size = self.file.id.get_filesize()
+            self.file.close()
+            if self.path.stat().st_size > size:
+                os.truncate(self.path, size)
+
+    def abandon(self) -> None:
+        """Let go of a file that can no longer be written; what was flushed stays readable."""
+        with contextlib.suppress(Exception):
+            self.file.close()
+
+    @contextlib.contextmanager
+    def _room(self, size: int) -> Iterator[None]:
+        """Reserve room on the disk for `size` bytes and ROOM more, write, flush; ROOM stays."""
+        with self._writing():
+            descriptor, end = self.file.id.get_vfd_handle(), self.file.id.get_filesize
+            if size:
+                _reserve(descriptor, self.path, end() + size + ROOM)
+            yield
+            self.file.flush()
+            if size:
+                os.ftruncate(descriptor, end() + ROOM)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError) as error:  # h5py: RuntimeError from a failed flush
+            raise _cannot_write(self.path, error) from None
+
+    def _size(self, last: int, blocks: list[Block]) -> int:
+        """How many bytes the rows up to `last` take at most: new chunks, their places in the index, texts."""
+        rows = self._time.chunks[0]
+        chunks = -(-last // rows) - -(-self._rows // rows)
+        datasets = [self._time, *(dataset for group in self._datasets.values() for dataset in group)]
+        values = sum(chunks * (rows * dataset.dtype.itemsize + HEADER) for dataset in datasets)
+        texts = [text for block in blocks if "string" in block.values for text in block.values["string"].flat]
+        return int(values) + sum(len(text) + 32 for text in texts)
+
+    def _create(self, attributes: Mapping[str, Any]) -> None:
+        plan, file = self._plan, self.file
+        file.attrs.update(attributes)
+        rows = plan.steps // plan.stride + 1
+        self._time = _dataset(file, "time", DTYPES["real"], rows)
+        self._time.make_scale("time")
+        self._time.attrs.update({"units": "s", "long_name": "simulated time"})
+        for part in plan.parts:
+            group = file.create_group(part.name, track_order=True)
+            group.attrs.update(
+                {"fmu": part.fmu_name, "fmu_sha256": part.fmu.sha256, "fmi_version": part.fmu.fmi_version,
+                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))}
+            )  # fmt: skip
+        self._datasets: dict[str, list[Any]] = {}
+        references = []
+        for component, variable in plan.recorded:
+            dataset = _dataset(file[component], variable.name, DTYPES[variable.kind], rows)
+            attributes = {"units": variable.unit or "1", "long_name": variable.description or variable.name,
+                          "causality": variable.causality}  # fmt: skip
+            dataset.attrs.update(attributes)
+            _attach_scale(dataset, self._time)
+            references.append((dataset.ref, 0))
+            self._datasets.setdefault(variable.kind, []).append(dataset)
+        if references:  # the other half of attach_scale, for all signals at once
+            kind = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.int32)])
+            self._time.attrs.create("REFERENCE_LIST", np.array(references, dtype=kind))
+
+
+def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
+    """What is known of a run before it begins."""
+    experiment = plan.experiment
+    attributes = {
+        "format": FORMAT, "format_version": FORMAT_VERSION, "run_id": run_id, "title": experiment.title,
+        "status": "running", "error": "", "created": _now(), "wall_time": math.nan, "real_time_factor": math.nan,
+        "algorithm": experiment.master.algorithm, "step": experiment.master.step, "experiment": experiment.path.stem,
+        "experiment_toml": experiment.text, "experiment_resolved": json.dumps(plan.resolved),
+        "versions": json.dumps(versions()), "git_commit": git_commit(experiment.path.parent),
+        "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
+        "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
+        "metrics": "{}", "warnings": "[]", "timing": "{}",
+    }  # fmt: skip
+    if experiment.master.seed is not None:
+        attributes["seed"] = experiment.master.seed
+    return attributes
+
+
+def _claim(path: Path, size: int) -> None:
+    """Create the file, which no one else may have, where there is room for `size` bytes.  Raises StoreError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+        except FileExistsError:
+            raise being_written(path) from None
+        try:
+            _reserve(descriptor, path, size)
+        except OSError:
+            os.close(descriptor)
+            path.unlink()
+            raise
+        os.close(descriptor)
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+
+
+def _reserve(descriptor: int, path: Path, size: int) -> None:
+    """Make the file `size` bytes long, with blocks behind them.  Raises OSError where the disk is full."""
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+            return
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # not every file system can
+                raise
+    if shutil.disk_usage(path.parent).free < size - os.fstat(descriptor).st_size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _dataset(group: Any, name: str, dtype: Any, rows: int) -> Any:
+    """An empty dataset of at most `rows`.
+
+    Bounded, for h5netcdf looks through all signals to learn the length of an unlimited dimension: minutes for 500.
+    """
+    checksum = h5py.check_string_dtype(dtype) is None
+    return group.create_dataset(
+        name, shape=(0,), maxshape=(rows,), dtype=dtype, chunks=(min(rows, CHUNK_ROWS),), fletcher32=checksum,
+        track_order=True,
+    )  # fmt: skip
+
+
+def _attach_scale(dataset: Any, scale: Any) -> None:
+    """Write DIMENSION_LIST directly: h5py's attach_scale takes quadratic time in the number of signals."""
+    value = np.empty((1,), dtype=object)
+    value[0] = np.array([scale.ref], dtype=h5py.ref_dtype)
+    dataset.attrs.create("DIMENSION_LIST", value, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide the numbers."""
+    import importlib.metadata
+
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[package] = importlib.metadata.version(package)
+    return found
+
+
+def git_commit(folder: Path) -> str:
+    """The commit that the experiment's folder is at, with "-dirty" where files differ from it; "" without git."""
+    command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def _cannot_write(path: Path, error: BaseException) -> StoreError:
+    number = getattr(error, "errno", None)
+    reason = os.strerror(number) if number else first_line(error)
+    return StoreError(f"{path} cannot be written: {reason}")

@@ -1,0 +1,88 @@
+"""What alternates from step to step is reported: the signature of a controller held beyond its stability limit."""
+
+import pytest
+
+from orchestrator import build, open_run, run
+
+ALTERNATING = '''
+from uuv import Output, Parameter, PythonModel, Signal, State
+
+
+class Alternating(PythonModel):
+    """Changes its sign in a share of its steps; or its side, between limits that are both positive."""
+
+    n = State(Signal((), "1", "steps done"))
+    y = Output(Signal(("a", "b"), "m", "a changes its sign, b does not"))
+    share = Parameter(1.0, "1", "share of the steps in which a changes its sign")
+    size = Parameter(1.0, "m", "amplitude")
+
+    def do_step(self, t, h):
+        self.n = self.n + (h > 0)
+        changes = int(self.n * self.share)
+        self.y = [self.size * (-1) ** changes, 1.0 + self.n]
+'''
+
+EXPERIMENT = """
+[master]
+stop_time = {stop}
+step = 1e-3
+[components.source]
+fmu = "alternating"
+{step}
+parameters = {{ share = {share}, size = {size} }}
+[record]
+every = {every}
+"""
+
+
+@pytest.fixture(scope="module")
+def alternating(_build_folder, tmp_path_factory):
+    source = tmp_path_factory.mktemp("models") / "alternating.py"
+    source.write_text(ALTERNATING, encoding="utf-8")
+    build.build([str(source)])
+
+
+@pytest.fixture
+def warnings(alternating, tmp_path):
+    def warnings(share, size=1.0, stop=0.1, every=0.02, step=""):
+        path = tmp_path / "source.toml"
+        path.write_text(EXPERIMENT.format(share=share, size=size, stop=stop, every=every, step=step), encoding="utf-8")
+        return run(path, results=tmp_path).attributes["warnings"]
+
+    return warnings
+
+
+def test_a_signal_that_changes_its_sign_in_most_steps_is_named_with_its_share(warnings):
+    (warning,) = warnings(0.8)
+    assert warning.startswith("source.y (a) alternates from step to step in 80% of the run")
+    assert "0.001 s" in warning
+    assert "smaller step" in warning
+
+
+def test_a_signal_that_changes_its_sign_in_fewer_steps_is_not_reported(warnings):
+    assert warnings(0.45) == []
+
+
+def test_rounding_noise_is_not_reported(warnings):
+    assert warnings(1.0, size=1e-12) == []
+
+
+def test_a_run_of_a_few_steps_is_not_judged(warnings):
+    assert warnings(1.0, stop=0.01, every=0.01) == []
+
+
+def test_a_slow_component_is_judged_by_its_own_steps(warnings):
+    (warning,) = warnings(1.0, step="step = 4e-3")
+    assert "100% of the run: held over 0.004 s" in warning
+
+
+def test_mfsosmc_held_over_a_millisecond_is_reported_and_pid_is_not(orch, spiral, write, tmp_path):
+    spiral["master"]["stop_time"] = 0.5
+    path = write(spiral)
+    assert "warning" not in orch("run", path).err
+    answer = orch("run", path, "--swap", "controller=mfsosmc")
+    assert answer.code == 0
+    assert "warning: controller.tau" in answer.err
+    assert "beyond its stability limit" in answer.err
+    assert open_run("last", tmp_path / "results").attributes["warnings"]
+    assert "warning: controller.tau" in orch("show", "last").out

@@ -1,0 +1,67 @@
+"""orch converge: one experiment at several steps."""
+
+import math
+
+import pytest
+
+from orchestrator.converge import assess, observed_order
+
+
+@pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("steps", [(4e-3, 2e-3, 1e-3), (1e-2, 5e-3, 1e-3)])
+def test_the_order_of_a_power_law_is_found(order, steps):
+    values = tuple(3.0 + 7.0 * h**order for h in steps)
+    # the values differ by as little as 7e-12 of 3: rounding leaves four digits of the order
+    assert observed_order(steps, values) == pytest.approx(order, rel=1e-3)
+
+
+def test_values_that_do_not_approach_anything_have_no_order():
+    assert math.isnan(observed_order((4e-3, 2e-3, 1e-3), (1.0, 2.0, 1.0)))
+    assert math.isnan(observed_order((4e-3, 2e-3, 1e-3), (1.0, 1.0, 1.0)))
+
+
+def test_the_error_is_the_distance_to_the_extrapolated_limit():
+    found = assess("m", "m", {h: 2.0 + 100.0 * h for h in (4e-3, 2e-3, 1e-3)}, own=2e-3)
+    assert found.limit == pytest.approx(2.0, rel=1e-9)  # exact but for rounding: the model is linear in h
+    assert found.error == pytest.approx(0.2, rel=1e-9)
+    assert not found.converged(2e-3)
+
+
+def test_a_metric_that_is_the_same_at_every_step_is_converged():
+    found = assess("m", "m", dict.fromkeys((4e-3, 2e-3, 1e-3), 2.0), own=1e-3)
+    assert found.error == 0.0
+    assert found.converged(1e-3)
+
+
+@pytest.fixture
+def short(spiral):
+    spiral["master"]["stop_time"] = 0.4
+    return spiral
+
+
+def test_pid_at_one_millisecond_is_converged(orch, write, short, tmp_path):
+    answer = orch("converge", write(short))
+    assert answer.code == 0, answer.err
+    assert "mine is converged at 0.001 s" in answer.out
+    assert (tmp_path / "results" / "_converge" / "mine.png").stat().st_size > 10_000
+    assert max(len(line) for line in answer.out.splitlines()) <= 110
+
+
+def test_mfsosmc_at_one_millisecond_is_not_although_its_position_errors_look_right(orch, write, short):
+    answer = orch("converge", write(short), "--swap", "controller=mfsosmc", "--steps", "2e-3,1e-3,5e-4", "--json")
+    assert answer.code == 1, answer.err
+    assert answer.json["converged"] is False
+    assert any("controller.tau" in warning for warning in answer.json["warnings"])
+    assert answer.json["metrics"]["rmse_x"]["converged"] is True
+    assert answer.json["metrics"]["rms_T1"]["converged"] is False
+
+
+def test_steps_that_do_not_fit_are_refused_with_their_reason(orch, write, short):
+    answer = orch("converge", write(short), "--steps", "3e-3,1e-3,5e-4")
+    assert answer.code == 2
+    assert "3e-3" in answer.err or "0.003" in answer.err
+    assert "does not divide" in answer.err
+    answer = orch("converge", write(short), "--steps", "1e-3,5e-4")
+    assert answer.code == 2
+    assert "at least 3" in answer.err
+    assert orch("converge", write(short), "--steps", "fine").code == 2

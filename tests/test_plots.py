@@ -1,0 +1,263 @@
+"""orch plot: what is in the figure.  Figures are read back as SVG, where every text stands in a comment."""
+
+import json
+import re
+import shutil
+import xml.etree.ElementTree as ET
+
+import h5py
+import numpy as np
+import pytest
+from conftest import EXPERIMENTS
+
+import orchestrator
+from orchestrator.errors import OrchError, StoreError
+from orchestrator.plots import draw
+from orchestrator.vehicles import vehicles
+
+SVG = "{http://www.w3.org/2000/svg}"
+ONE = ["$x$ [m]", "$y$ [m]", "$z$ [m]", r"$\phi$ [deg]", r"$\theta$ [deg]", r"$\psi$ [deg]",
+       "$x - x_d$ [m]", "$y - y_d$ [m]", "$z - z_d$ [m]", *(f"$T_{{{i}}}$ [-]" for i in range(1, 7))]  # fmt: skip
+TWO = ["distance [m]", r"$\psi_2 - \psi_1$ [deg]", "$z_2 - z_1$ [m]"]
+CHART = ["East $y$ [m]", "North $x$ [m]"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("plots")
+
+
+@pytest.fixture(scope="module")
+def spiral_run(folder):
+    """One vehicle under PID for two seconds, in a current."""
+    changes = {"master.stop_time": 2.0, "components.current.parameters.velocity": [0.75, 0.25, 0.3]}
+    return orchestrator.run(EXPERIMENTS / "spiral_pid.toml", changes, output=folder / "spiral.h5")
+
+
+@pytest.fixture(scope="module")
+def gripping_run(folder):
+    """Two vehicles under PID for two seconds, in still water."""
+    pid = {"controller1": "pid", "controller2": "pid"}
+    changes = {"master.stop_time": 2.0, "master.step": 1e-3}
+    return orchestrator.run(EXPERIMENTS / "gripping.toml", changes, pid, output=folder / "gripping.h5")
+
+
+@pytest.fixture(scope="module")
+def spiral_figure(spiral_run, folder):
+    return Figure(draw([spiral_run], folder / "spiral.svg"))
+
+
+@pytest.fixture(scope="module")
+def gripping_figure(gripping_run, folder):
+    return Figure(draw([gripping_run], folder / "gripping.svg"))
+
+
+@pytest.fixture
+def changed(tmp_path):
+    """changed(run, change, name): a copy of the record after change(its open file)."""
+
+    def make(run, change, name="changed.h5"):
+        shutil.copy(run.path, tmp_path / name)
+        with h5py.File(tmp_path / name, "r+") as file:
+            change(file)
+        return orchestrator.open_run(tmp_path / name)
+
+    return make
+
+
+class Figure:
+    """A figure read back.  panels: {label of the vertical axis: {tick: height in the picture, growing downward}}."""
+
+    def __init__(self, path):
+        root = ET.parse(path, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))).getroot()
+        self.texts = _texts(root)
+        self.axes = [g for g in root.iter(f"{SVG}g") if re.fullmatch(r"axes_\d+", g.get("id", ""))]
+        self.panels = {}
+        for ax in self.axes:
+            ticks = {}
+            vertical = [g for g in ax.iter(f"{SVG}g") if any("ytick" in below.get("id", "") for below in g)]
+            for group in vertical:
+                for below in group:
+                    if "ytick" in below.get("id", ""):
+                        height = [float(use.get("y")) for use in below.iter(f"{SVG}use") if use.get("y")]
+                        ticks[float(_texts(below)[-1].replace("\N{MINUS SIGN}", "-"))] = height[0]
+                    elif below.get("id", "").startswith("text"):
+                        self.panels[_texts(below)[0]] = ticks
+
+    def points_down(self, label):
+        ticks = sorted(self.panels[label].items())
+        return ticks[0][1] < ticks[-1][1]
+
+
+def _texts(element):
+    return [e.text.strip() for e in element.iter() if e.tag is ET.Comment]
+
+
+def test_the_overview_of_one_vehicle_has_every_panel_with_its_unit(spiral_figure):
+    assert list(spiral_figure.panels) == [*ONE, CHART[1]]
+    assert len(spiral_figure.axes) == len(ONE) + 3  # the chart, the space, the current
+    assert {*CHART, "$t$ [s]", "vehicle", "desired", "start", "end", "heading"} <= {*spiral_figure.texts}
+
+
+def test_the_overview_of_two_vehicles_has_their_formation(gripping_figure):
+    assert list(gripping_figure.panels) == [*ONE, *TWO, CHART[1]]
+    assert {"vehicle1", "vehicle2"} <= {*gripping_figure.texts}
+
+
+def test_depth_points_down_and_all_else_up(gripping_figure):
+    down = [label for label in gripping_figure.panels if gripping_figure.points_down(label)]
+    assert down == ["$z$ [m]", "$z - z_d$ [m]", "$z_2 - z_1$ [m]"]
+
+
+def test_the_current_is_drawn_where_there_is_one(spiral_figure, gripping_figure):
+    assert "0.85 m/s" in spiral_figure.texts
+    assert "current" in spiral_figure.texts
+    assert "current" not in gripping_figure.texts
+
+
+def test_the_heading_difference_starts_near_zero_and_does_not_jump_by_a_turn(gripping_run, gripping_figure):
+    turn = np.degrees(gripping_run["vehicle2.eta.psi"] - gripping_run["vehicle1.eta.psi"])
+    ticks = gripping_figure.panels[TWO[1]]
+    margin = 0.06 * (turn.max() - turn.min())  # matplotlib leaves 5 % above and below a curve
+    assert turn.max() > 100
+    assert turn.min() - margin < min(ticks) <= max(ticks) < turn.max() + margin
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".PNG", b"\x89PNG"), (".pdf", b"%PDF")])
+def test_png_and_pdf_are_written_and_the_same_figure_is_the_same_bytes(spiral_run, tmp_path, suffix, start):
+    first, second = (
+        draw([spiral_run], tmp_path / f"{name}{suffix}", ["vehicle.eta"]).read_bytes() for name in ("new/one", "two")
+    )
+    assert first.startswith(start)
+    assert first == second
+
+
+def test_the_command_draws_runs_over_each_other_and_says_what_differs(orch, write, spiral, spiral_run, tmp_path):
+    other = orch("run", write(spiral), "--set", "components.controller.parameters.K_p.z=60", "-o", "other.h5")
+    assert other.code == 0, other.err
+    answer = orch("plot", spiral_run.path, "other.h5", "-o", "both.svg")
+    assert (answer.code, answer.out, answer.err) == (0, "both.svg\n", "")
+    texts = Figure(tmp_path / "both.svg").texts
+    assert any(spiral_run.run_id in text and "velocity = (0.75, 0.25, 0.3)" in text for text in texts)
+    assert any("controller.K_p.z = 60" in text and "velocity = (0, 0, 0)" in text for text in texts)
+
+
+def test_without_a_name_the_figure_lies_beside_the_record(orch, spiral_run, tmp_path):
+    shutil.copy(spiral_run.path, tmp_path / "mine.h5")
+    assert orch("plot", "mine.h5", "--signals", "vehicle.eta.z").out == "mine.png\n"
+    assert (tmp_path / "mine.png").stat().st_size > 5_000
+
+
+def test_signals_are_grouped_by_vector_and_unit(spiral_run, tmp_path):
+    figure = Figure(draw([spiral_run], tmp_path / "f.svg", ["vehicle.eta", "allocation.u.*"]))
+    angles = r"$\phi$, $\theta$, $\psi$ [deg]"
+    assert list(figure.panels) == ["$T_{1}$ … $T_{6}$ [-]", "$x$, $y$ [m]", "$z$ [m]", angles]
+    assert figure.points_down("$z$ [m]")
+    assert not figure.points_down("$x$, $y$ [m]")
+
+
+def test_of_several_runs_every_signal_has_its_panel(spiral_run, gripping_run, tmp_path):
+    figure = Figure(draw([spiral_run, gripping_run], tmp_path / "f.svg", ["vehicle?.nu.[ur]", "*.eta.z"]))
+    titles = ["vehicle1.eta.z", "vehicle1.nu.u", "vehicle1.nu.r", "vehicle2.eta.z", "vehicle2.nu.u", "vehicle2.nu.r"]
+    assert [text for text in figure.texts if text.startswith("vehicle")] == [*titles, "vehicle.eta.z"]
+
+
+def test_an_unknown_signal_names_the_nearest_one(orch, spiral_run):
+    answer = orch("plot", spiral_run.path, "-o", "f.png", "--signals", "vehicle.etta.*")
+    assert answer.code == 2
+    assert "no recorded signal fits 'vehicle.etta.*'; did you mean 'vehicle.eta" in answer.err
+
+
+def test_an_unknown_format_names_the_three(orch, spiral_run, tmp_path):
+    answer = orch("plot", spiral_run.path, "-o", "f.jpg")
+    assert answer.code == 2
+    assert "f.jpg: a figure is a .png, .pdf or .svg file" in answer.err
+    with pytest.raises(OrchError, match=r"\.png, \.pdf or \.svg"):
+        draw([spiral_run], tmp_path / "without")
+
+
+def test_a_folder_that_cannot_be_made_is_a_sentence(spiral_run, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match=r"f\.png cannot be written"):
+        draw([spiral_run], tmp_path / "file" / "f.png", ["vehicle.eta"])
+
+
+def test_a_record_without_rows_is_a_sentence(changed, spiral_run, tmp_path):
+    with pytest.raises(StoreError, match="holds no row yet"):
+        draw([changed(spiral_run, lambda file: file["time"].resize((0,)))], tmp_path / "f.png")
+
+
+def test_a_run_that_failed_after_its_first_row_is_drawn_and_says_so(changed, spiral_run, tmp_path):
+    def fail(file):
+        file["time"].resize((1,))
+        file.attrs.update(status="failed", failed_at=0.005)
+
+    figure = Figure(draw([changed(spiral_run, fail)], tmp_path / "f.svg"))
+    assert list(figure.panels) == [*ONE, CHART[1]]
+    assert any("failed at t = 0.005 s" in text for text in figure.texts)
+
+
+def test_what_is_not_recorded_leaves_no_empty_panel(changed, spiral_run, tmp_path):
+    def forget(file):
+        for name in ("reference", "allocation", "current"):
+            del file[name]
+
+    figure = Figure(draw([changed(spiral_run, forget)], tmp_path / "f.svg"))
+    assert list(figure.panels) == [*ONE[:6], CHART[1]]
+    assert not {"desired", "current"} & {*figure.texts}
+
+
+def test_a_run_without_a_vehicle_shows_its_signals(changed, spiral_run, tmp_path):
+    def forget(file):
+        for name in ("vehicle", "controller", "reference"):
+            del file[name]
+
+    figure = Figure(draw([changed(spiral_run, forget)], tmp_path / "f.svg"))
+    assert list(figure.panels) == ["$T_{1}$ … $T_{6}$ [-]", "$x$, $y$, $z$ [m/s]"]
+
+
+def test_the_reference_is_found_along_the_connections_not_by_name(changed, gripping_run):
+    def cross(file):
+        resolved = json.loads(file.attrs["experiment_resolved"])
+        swap = {"reference1": "reference2", "reference2": "reference1"}
+        for pair in resolved["connections"]:
+            component, _, variable = pair[1].partition(".")
+            pair[1] = f"{swap.get(component, component)}.{variable}"
+        file.attrs["experiment_resolved"] = json.dumps(resolved)
+
+    for run, references in ((gripping_run, "12"), (changed(gripping_run, cross), "21")):
+        for vehicle, number in zip(vehicles(run), references, strict=True):
+            assert list(vehicle.eta_d) == ["x", "y", "z", "phi", "theta", "psi"]
+            assert (vehicle.eta_d["y"] == run[f"reference{number}.eta_d.y"]).all()
+            assert (vehicle.u["T3"] == run[f"allocation{vehicle.name[-1]}.u.T3"]).all()
+
+
+def test_a_set_point_that_the_experiment_gives_as_start_value_is_the_reference(changed, spiral_run):
+    def hold(file):
+        resolved = json.loads(file.attrs["experiment_resolved"])
+        resolved["connections"] = [pair for pair in resolved["connections"] if ".eta_d." not in pair[0]]
+        controller = next(c for c in resolved["components"] if c["name"] == "controller")
+        controller["start"] = {"eta_d.x": 0.5, "eta_d.z": 3.0}
+        file.attrs["experiment_resolved"] = json.dumps(resolved)
+
+    run = changed(spiral_run, hold)
+    (vehicle,) = vehicles(run)
+    assert {axis: set(values) for axis, values in vehicle.eta_d.items()} == {"x": {0.5}, "z": {3.0}}
+    assert len(vehicle.eta_d["x"]) == len(run.time)
+
+
+def test_a_long_signal_is_thinned_without_losing_its_peak(changed, spiral_run, tmp_path):
+    rows = 200_000
+
+    def lengthen(file):
+        values = np.sin(np.arange(rows))
+        values[123_456] = 1e3
+        for name, array in (("time", np.arange(rows) * 1e-3), ("allocation/u.T1", values)):
+            attributes = {key: file[name].attrs[key] for key in ("units", "causality") if key in file[name].attrs}
+            del file[name]
+            file[name] = array
+            file[name].attrs.update(attributes)
+
+    path = draw([changed(spiral_run, lengthen)], tmp_path / "f.svg", ["allocation.u.T1"])
+    assert max(Figure(path).panels["$T_{1}$ [-]"]) >= 750
+    assert path.stat().st_size < 500_000
