@@ -14,6 +14,7 @@ from .system import System
 SHARE = 0.5  # of its component's steps, above which a signal is reported
 FEWEST_STEPS = 20  # below that, alternating says nothing
 NOISE = 1e-9  # SI; smaller amplitudes are rounding
+SMALL = 1e-2  # of the largest value of its vector; smaller amplitudes do no harm
 
 
 class Alternations:
@@ -26,6 +27,9 @@ class Alternations:
         self._product = np.zeros(len(self._table))
         self._alternates = np.zeros(len(self._table), dtype=bool)
         self._counts = np.zeros(len(self._table), dtype=np.int64)
+        self._sum = np.zeros(len(self._table))  # of the products of consecutive values, and of their magnitudes:
+        self._sum_abs = np.zeros(len(self._table))  # half the difference comes from the steps that alternate
+        self._largest = np.zeros(len(self._table))  # of the magnitudes: the square of the peak
         # Limits that do not lie around zero have a middle of their own.
         self._middle = np.zeros(len(self._table))
         self._threshold = np.full(len(self._table), -(NOISE**2))
@@ -47,6 +51,10 @@ class Alternations:
         np.multiply(self._now, self._before, out=self._product)
         np.less(self._product, self._threshold, out=self._alternates)
         self._counts += self._alternates
+        self._sum += self._product
+        np.abs(self._product, out=self._product)
+        self._sum_abs += self._product
+        np.maximum(self._largest, self._product, out=self._largest)
         self._before[:] = self._now
 
     def warnings(self, ticks: int) -> list[str]:
@@ -57,11 +65,16 @@ class Alternations:
             steps = ticks // member.part.period
             if steps < FEWEST_STEPS:
                 continue
+            size: dict[tuple[str, str], float] = {}  # of vectors, by unit: square of the peak of the largest axis
+            for place, variable in zip(member.places, member.outputs, strict=True):
+                key = split_axis(variable.name)[0], variable.unit
+                size[key] = max(size.get(key, 0.0), self._largest[place])
             worst: dict[str, dict[str, float]] = {}
             for place, variable in zip(member.places, member.outputs, strict=True):
+                vector, axis = split_axis(variable.name)
                 share = self._counts[place] / steps
-                if share > SHARE:
-                    vector, axis = split_axis(variable.name)
+                amplitude = (self._sum_abs[place] - self._sum[place]) / 2 / max(self._counts[place], 1)  # squared
+                if share > SHARE and amplitude > SMALL**2 * size[vector, variable.unit]:
                     worst.setdefault(vector, {})[axis] = share
             for vector, shares in worst.items():
                 axes = f" ({' '.join(shares)})" if any(shares) else ""

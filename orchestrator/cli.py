@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from . import __version__
-from .errors import ExperimentError, OrchError
+from .errors import ExperimentError, FmuError, OrchError
 
 INTERRUPTED = 130
 
@@ -22,7 +22,8 @@ def main() -> None:
     """Entry point: exit codes 0 done, 2 not started, 3 failed, 130 interrupted."""
     try:
         code = orch.main(standalone_mode=False)
-    except click.exceptions.Abort:
+    except click.exceptions.Abort:  # what click makes of Ctrl-C
+        click.echo("interrupted", err=True)
         code = INTERRUPTED
     except click.ClickException as error:
         error.show()
@@ -181,7 +182,12 @@ def fmus(name: str | None, as_json: bool) -> None:
         builder.build(builder.known())
     except builder.BuildError as error:
         click.echo(str(error), err=True)
-    found = [read(path) for path in map(builder.target, builder.known()) if path.exists()]
+    found = []
+    for path in filter(Path.exists, map(builder.target, builder.known())):
+        try:
+            found.append(read(path))
+        except FmuError as error:
+            click.echo(str(error), err=True)
     click.echo(json.dumps([show.fmu_as_json(f) for f in found]) if as_json else show.fmus(found))
 
 
@@ -262,8 +268,8 @@ def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> in
 
     Runs that the store has are not repeated, figures whose runs have not changed are not redrawn.
     """
-    from . import reproduce as thesis
     from . import show
+    from .thesis import reproduce as thesis
 
     outcome = thesis.reproduce(only, quick, results, _tell)
     click.echo(thesis.report(outcome, show.short(outcome.folder)))

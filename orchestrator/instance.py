@@ -51,7 +51,8 @@ class Instance:
             )
         except Exception as error:  # FMPy raises what dlopen says
             raise FmuError(f"{fmu.path} cannot be loaded: {error}") from None
-        self._callbacks = _callbacks_for(environment)  # must live as long as the instance
+        # Must live as long as the instance.
+        self._callbacks = _callbacks_for(environment, formats=fmu.packaging != "python")
         try:
             self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
         except Exception:
@@ -121,6 +122,8 @@ class Instance:
         if self._begun and self.function("fmi2Terminate")(component) > WARNING:
             return
         self.function("fmi2FreeInstance")(component)
+        # Left to the end of the process, the destructors of many Python FMUs now and then corrupt the heap.
+        self._slave.freeLibrary()
 
     def take_messages(self) -> list[str]:
         """What the FMU has said since the last call, each sentence once."""
@@ -134,9 +137,13 @@ class Instance:
 
 
 @cache
-def _callbacks() -> Any:
+def _callbacks(formats: bool) -> Any:
     """The callbacks of every instance.  There is one logger, for FMPy's proxy, which formats printf-style messages,
-    remembers but one; it tells instances apart by their environment."""
+    remembers but one; it tells instances apart by their environment.
+
+    formats: False for pythonfmu's library, which hands the text of an exception over as a format: a "%s" in it would
+    read whatever lies in memory.
+    """
     from fmpy.fmi2 import defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
     from fmpy.logging import addLoggerProxy
 
@@ -149,14 +156,15 @@ def _callbacks() -> Any:
     callbacks.logger = fmi2CallbackLoggerTYPE(logger)
     callbacks.allocateMemory = defaultCallbacks.allocateMemory
     callbacks.freeMemory = defaultCallbacks.freeMemory
-    addLoggerProxy(ctypes.byref(callbacks))
+    if formats:
+        addLoggerProxy(ctypes.byref(callbacks))
     return callbacks, logger
 
 
-def _callbacks_for(environment: int) -> Any:
+def _callbacks_for(environment: int, formats: bool) -> Any:
     from fmpy.fmi2 import fmi2CallbackFunctions
 
-    copy = fmi2CallbackFunctions.from_buffer_copy(_callbacks()[0])
+    copy = fmi2CallbackFunctions.from_buffer_copy(_callbacks(formats)[0])
     copy.componentEnvironment = environment
     return copy
 

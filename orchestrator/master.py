@@ -125,7 +125,6 @@ def _advance(
     members = [(member, member.part.period) for member in system.members]
     ending = [(m, p) for m, p in members if m.at_tick_end or m.at_period_end]
     checked = system.tables["real"][: system.computed["real"]]
-    zeros = np.zeros(len(checked))
     for k in range(outcome.ticks, last):
         if interrupted.is_set():
             return
@@ -143,8 +142,8 @@ def _advance(
             for get in member.gets:
                 if (status := get()) != 0:
                     _check(member, status)
-            for total in member.sums:
-                if math.isnan(total()):
+            for sum_of_squares in member.sums:
+                if not math.isfinite(sum_of_squares()):
                     _check_finite(member)
             for publish in member.at_once:
                 publish()
@@ -155,7 +154,7 @@ def _advance(
             if (k + 1) % period == 0:
                 for publish in member.at_period_end:
                     publish()
-        if math.isnan(checked.dot(zeros)):  # 0 * inf and 0 * nan are nan
+        if not math.isfinite(checked.dot(checked)):
             for member, _ in members:
                 _check_finite(member)
         alternations.count()

@@ -16,7 +16,7 @@ from .errors import RunError, StoreError
 from .master import Observer, Outcome, interruptible
 from .master import run as run_master
 from .recorder import Recorder
-from .store import ID_LENGTH, Run, Store, being_written, is_hdf5, is_locked
+from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_hdf5, is_locked
 from .system import System
 from .wiring import Plan, prepare
 
@@ -127,7 +127,7 @@ def _status(path: Path) -> str:
     try:
         with Run(path) as record:
             return record.status
-    except (StoreError, KeyError):
+    except (StoreError, *UNREADABLE):
         return "unreadable"
 
 

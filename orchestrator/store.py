@@ -5,6 +5,7 @@ The format is described in docs/record.md; `recorder` writes it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
 
 FORMAT = "orch-run"
 FORMAT_VERSION = 1
+JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command")  # attributes in JSON
 ID_LENGTH = 10
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
+
+# What h5py raises at a file that is damaged, or being written.
+UNREADABLE = (OSError, KeyError, RuntimeError, ValueError)
 
 T = TypeVar("T")
 
@@ -39,22 +44,26 @@ class Run:
         self.path = Path(path)
         self._signals: list[str] = []
         self.file = file or self._open()
-        self._length = len(self.file["time"])
+        with self._reading("the time"):
+            self._length = len(self.file["time"])
 
     def _open(self) -> h5py.File:
         if not self.path.is_file():
             raise StoreError(f"{self.path}: no such file")
-        if self.path.stat().st_size and not is_hdf5(self.path):
-            raise StoreError(f"{self.path} is no record of a run")
-        try:
+        with self._reading("it"):
+            if self.path.stat().st_size and not is_hdf5(self.path):
+                raise StoreError(f"{self.path} is no record of a run")
             file = patiently(lambda: _opened(self.path), while_=lambda: is_locked(self.path))
-            if file.attrs["format"] == FORMAT and "time" in file:
-                return file
-        except OSError as error:
-            raise StoreError(f"{self.path} cannot be read: {first_line(error)}") from None
-        except KeyError:
-            pass
-        raise StoreError(f"{self.path} is no record of a run")
+            if file.attrs["format"] != FORMAT:
+                raise StoreError(f"{self.path} is no record of a run")
+            return file
+
+    @contextlib.contextmanager
+    def _reading(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except UNREADABLE as error:
+            raise StoreError(f"{self.path}: {what} cannot be read: {first_line(error)}") from None
 
     def __enter__(self) -> Run:
         return self
@@ -76,25 +85,27 @@ class Run:
 
     def _read(self, name: str) -> Any:
         component, _, variable = name.partition(".")
-        try:
-            return self.file[component][variable][: self._length]
-        except OSError as error:
-            raise StoreError(f"{self.path}: {name} cannot be read: {first_line(error)}") from None
+        with self._reading(name):
+            dataset = self.file[component][variable]
+            is_text = h5py.check_string_dtype(dataset.dtype) is not None
+            return (dataset.asstr() if is_text else dataset)[: self._length]
 
     @property
     def time(self) -> Any:
-        return self.file["time"][: self._length]
+        with self._reading("the time"):
+            return self.file["time"][: self._length]
 
     @property
     def signals(self) -> list[str]:
         """Names of all recorded variables, components in order."""
         if not self._signals:
-            self._signals = [
-                f"{component}.{variable}"
-                for component, group in self.file.items()
-                if isinstance(group, h5py.Group)
-                for variable in _datasets(group)
-            ]
+            with self._reading("the list of signals"):
+                self._signals = [
+                    f"{component}.{variable}"
+                    for component, group in self.file.items()
+                    if isinstance(group, h5py.Group)
+                    for variable in _datasets(group)
+                ]
         return self._signals
 
     def units(self, name: str) -> str:
@@ -104,16 +115,15 @@ class Run:
     @property
     def attributes(self) -> dict[str, Any]:
         """The root attributes, JSON decoded."""
-        decoded = {}
-        for name, value in self.file.attrs.items():
-            is_json = name in ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command")
-            decoded[name] = json.loads(value) if is_json else value.item() if isinstance(value, np.generic) else value
-        return decoded
+        with self._reading("its attributes"):
+            found = {n: v.item() if isinstance(v, np.generic) else v for n, v in self.file.attrs.items()}
+            return {name: json.loads(value) if name in JSON else value for name, value in found.items()}
 
     @property
     def status(self) -> str:
         """completed, failed, interrupted, running, or "interrupted (killed)" where nobody writes it any more."""
-        status = str(self.file.attrs["status"])
+        with self._reading("its status"):
+            status = str(self.file.attrs["status"])
         return "interrupted (killed)" if status == "running" and not is_locked(self.path) else status
 
     @property
@@ -192,23 +202,39 @@ def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True
     while True:
         try:
             return action()
-        except (OSError, KeyError):
+        except UNREADABLE:
             if time.monotonic() > deadline or not while_():
                 raise
             time.sleep(0.01)
 
 
 def _opened(path: Path) -> h5py.File:
-    """The file, with its attributes.  Raises KeyError where it has none yet."""
+    """The file, with its attributes.  Raises OSError where it has none, or none yet."""
     file = h5py.File(path, "r", locking=False)
-    if "format" not in file.attrs or "pid" not in file.attrs:
+    if "hostname" not in file.attrs:
         file.close()
-        raise KeyError("format")
+        raise OSError("it says nothing of a run")
     return file
 
 
 def is_locked(path: Path) -> bool:
     """Whether a process is writing the file: HDF5 holds a lock on it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return _is_locked_for_hdf5(path)
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # it is gone, or on a file system without locks
+        pass
+    return False
+
+
+def _is_locked_for_hdf5(path: Path) -> bool:
+    """The same through HDF5, which says nothing of a file that this process has open."""
     try:
         with h5py.File(path, "r", locking=True):
             return False
@@ -223,7 +249,7 @@ def being_written(path: Path) -> StoreError:
     try:
         with patiently(lambda: _opened(path)) as file:
             writer = f"process {file.attrs['pid']} on {file.attrs['hostname']}"
-    except (OSError, KeyError):
+    except UNREADABLE:
         writer = "another process"
     return StoreError(f"{path} is being written by {writer}; wait for it, or write to another file with --output")
 
@@ -237,7 +263,7 @@ def _digest_of(path: Path) -> str:
     try:
         with h5py.File(path, "r", locking=False) as file:
             return str(file.attrs.get("digest", ""))
-    except OSError:
+    except UNREADABLE:
         return ""
 
 

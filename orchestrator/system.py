@@ -51,7 +51,7 @@ class Member:
     at_tick_end: list[Action] = field(default_factory=list)
     at_period_end: list[Action] = field(default_factory=list)
     staged: list[Action] = field(default_factory=list)  # all of what it has computed into the table
-    sums: list[Action] = field(default_factory=list)  # nan where a staged value is not finite
+    sums: list[Action] = field(default_factory=list)  # of squares: not finite where a staged value is not
     outputs: list[Variable] = field(default_factory=list)  # its real outputs, where `gets` write them, their places
     values: Any = ()
     places: Sequence[int] = ()
@@ -231,7 +231,7 @@ class System:
                     moment.append(publish)
                     member.staged.append(publish)
             if kind == "real":
-                member.sums.append(partial(buffer.dot, np.zeros(n)))
+                member.sums.append(partial(buffer.dot, buffer))
         if kind == "real":
             member.outputs, member.values, member.places = variables, buffer, range(first, first + n)
         member.gets.append(_call(member, f"fmi2Get{kind.capitalize()}", kind, variables, buffer, reads=True))

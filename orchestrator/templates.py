@@ -91,7 +91,7 @@ def write(kind: str, name: str) -> tuple[Path, str]:
     """
     stem = name.removesuffix(".py" if kind == "controller" else ".toml")
     if not stem.isidentifier():
-        raise OrchError(f"{stem!r} cannot name a {kind}; use letters, digits and _")
+        raise OrchError(f"{stem!r} cannot be the name; use letters, digits and _, and begin with no digit")
     if kind == "controller" and stem in shipped():
         raise OrchError(f"{stem!r} is the name of a model that comes with orch; choose another")
     path = Path(f"{stem}.py" if kind == "controller" else f"{stem}.toml")

@@ -200,7 +200,7 @@ class Trouble(PythonModel):
         if h == 0.0 or t < self.at - 1e-9:
             return True
         if self.kind == 1:
-            raise RuntimeError(f"the thruster is gone at {t:g}")
+            raise RuntimeError(f"the thruster is gone at {t:g}, 100 %s sure %n")
         if self.kind in (2, 3):
             self.y = float("nan" if self.kind == 2 else "inf")
         if self.kind == 5:
@@ -410,7 +410,7 @@ int fmi2DoStep(Probe *p, double t, double h, int keep) {
     snprintf(p->words, sizeof p->words, "%s %d", p->text, p->whole[STEPS]);
     if (t < p->real[AT] - 1e-9) return OK;
     switch (p->whole[MODE]) {
-        case 1: return say(p, ERROR, "the probe lost its mind: 100 % sure");
+        case 1: return say(p, ERROR, "the probe lost its mind: 100 %% sure");
         case 2: p->real[Y] = NAN; return OK;
         case 3: p->real[Y] = -INFINITY; return OK;
         case 4: p->state = ENDED; return say(p, DISCARD, "the probe has seen enough");
@@ -562,15 +562,17 @@ class {name}(Fmi2Slave):
 
     def do_step(self, t, h):
         self.y, self.n, self.b, self.s = t + h, self.n + 1, not self.b, f"{{WORD}} {{self.n}}"
+        if WORD == "east" and t > 0.015:
+            raise RuntimeError("an east wind")
         return True
 '''
 
 
 @pytest.fixture(scope="session")
 def foreign(tmp_path_factory):
-    """Two FMUs that pythonfmu's own builder made, each with another `helper` module; and a third without a clash."""
+    """FMUs that pythonfmu's own builder made: two with another `helper` module each, and one that fails at 0.02 s."""
     found = {}
-    for name, helper, word in (("North", "helper", "nord"), ("South", "helper", "süd"), ("West", "west_help", "west")):
+    for name, helper, word in (("North", "helper", "nord"), ("South", "helper", "süd"), ("East", "east_help", "east")):
         folder = tmp_path_factory.mktemp(name.lower())
         (folder / f"{name.lower()}.py").write_text(PYTHONFMU_PROBE.format(name=name, helper=helper), encoding="utf-8")
         (folder / f"{helper}.py").write_text(f'WORD = "{word}"\n', encoding="utf-8")

@@ -12,14 +12,14 @@ class Alternating(PythonModel):
     """Changes its sign in a share of its steps; or its side, between limits that are both positive."""
 
     n = State(Signal((), "1", "steps done"))
-    y = Output(Signal(("a", "b"), "m", "a changes its sign, b does not"))
+    y = Output(Signal(("a", "b"), "m", "a changes its sign, b does not and is of size 1"))
     share = Parameter(1.0, "1", "share of the steps in which a changes its sign")
     size = Parameter(1.0, "m", "amplitude")
 
     def do_step(self, t, h):
         self.n = self.n + (h > 0)
         changes = int(self.n * self.share)
-        self.y = [self.size * (-1) ** changes, 1.0 + self.n]
+        self.y = [self.size * (-1) ** changes, 1.0]
 '''
 
 EXPERIMENT = """
@@ -65,6 +65,11 @@ def test_a_signal_that_changes_its_sign_in_fewer_steps_is_not_reported(warnings)
 
 def test_rounding_noise_is_not_reported(warnings):
     assert warnings(1.0, size=1e-12) == []
+
+
+def test_what_is_small_beside_its_vector_is_not_reported(warnings):
+    assert warnings(1.0, size=1e-4) == []
+    assert warnings(1.0, size=1e-1) != []
 
 
 def test_a_run_of_a_few_steps_is_not_judged(warnings):

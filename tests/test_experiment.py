@@ -204,7 +204,8 @@ def test_set_changes_every_kind_of_key(orch, write, spiral):
 
 def test_python_takes_the_same_changes_as_values(problems, spiral):
     found = problems(spiral, set={"master.step": 0.0003, "components.controler.step": 1e-3, "recrod.every": 1})
-    assert [key for key, _ in found] == ["--set components.controler.step", "recrod", "master.stop_time", "record.every"]
+    keys = ["--set components.controler.step", "recrod", "master.stop_time", "record.every"]
+    assert [key for key, _ in found] == keys
 
 
 @pytest.mark.parametrize(("option", "words"), [

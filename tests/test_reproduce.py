@@ -15,14 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import claims_gripping, reproduce, thesis_page, thesis_steps, thesis_tables, workers
+from orchestrator import workers
 from orchestrator.errors import OrchError
-from orchestrator.thesis_cases import CASES
-from orchestrator.thesis_claims import FAILS, HOLDS
-from orchestrator.thesis_drawing import KINDS, canvas
-from orchestrator.thesis_figures import FIGURES
-from orchestrator.thesis_signals import Track, body_velocity, rotation
-from orchestrator.thesis_tables import Verdict, judge, metric_name, published
+from orchestrator.thesis import claims_gripping, reproduce
+from orchestrator.thesis import page as thesis_page
+from orchestrator.thesis import steps as thesis_steps
+from orchestrator.thesis import tables as thesis_tables
+from orchestrator.thesis.cases import CASES
+from orchestrator.thesis.claims import FAILS, HOLDS
+from orchestrator.thesis.drawing import KINDS, canvas
+from orchestrator.thesis.figures import FIGURES
+from orchestrator.thesis.signals import Track, body_velocity, rotation
+from orchestrator.thesis.tables import Verdict, judge, metric_name, published
 
 CELLS = [cell for cell in published() if cell.quantity != "mean"]
 MEANS = [cell for cell in published() if cell.quantity == "mean"]
@@ -405,7 +409,7 @@ def test_an_unknown_figure_exits_2_and_starts_nothing(tmp_path):
 
 @pytest.mark.slow
 def test_one_figure_runs_its_case_once_and_is_drawn_once(tmp_path):
-    for expected in ("1 figures, 1 drawn anew", "1 figures, 0 drawn anew"):
+    for expected in ("figures: 1, drawn anew: 1", "figures: 1, drawn anew: 0"):
         process = orch_reproduce("--only", "fig5.1", cwd=tmp_path)
         out, err = process.communicate(timeout=120)
         assert process.returncode == 0, err
@@ -463,5 +467,5 @@ def test_the_whole_quick_reproduction_is_in_band_and_fast_the_second_time(tmp_pa
     again = orch_reproduce("--quick", cwd=tmp_path)
     out, err = again.communicate(timeout=120)
     assert again.returncode == 0
-    assert "80 figures, 0 drawn anew" in out
+    assert "figures: 80, drawn anew: 0" in out
     assert time.monotonic() - began < 20

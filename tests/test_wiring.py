@@ -162,7 +162,7 @@ def test_foreign_fmus_with_different_modules_of_one_name_are_refused_with_both_n
 
 
 @pytest.mark.parametrize(("changes", "key", "words"), [
-    ({"connections.b.u": "a.z"}, 'connections."b.u"', "no output 'a.z'; did you mean 'a.y'? a has: a.y, a.steps, a.odd"),
+    ({"connections.b.u": "a.z"}, 'connections."b.u"', "no output 'a.z'; did you mean 'a.y'? a has: a.y, a.steps"),
     ({"connections.b.uu": "a.y"}, 'connections."b.uu"', "no input 'b.uu'; did you mean 'b.u'?"),
     ({"connections.b.u": "c.y"}, 'connections."b.u"', "no component 'c'"),
     ({"connections.bb.u": "a.y"}, 'connections."bb.u"', "no component 'bb'; did you mean 'b'?"),

@@ -14,6 +14,8 @@ import sys
 
 _FOLDER = pathlib.Path(__file__).parent
 _BUNDLED = {path.stem for path in _FOLDER.iterdir() if path.stem != "__init__"}
+# Read at once: the package outlives its folder in a process that unpacks the FMU anew for each run.
+_SOURCES = {str(path): path.read_bytes() for path in _FOLDER.rglob("*.py")}
 
 
 def _import(name, globals=None, locals=None, fromlist=(), level=0):
@@ -31,6 +33,9 @@ def _import(name, globals=None, locals=None, fromlist=(), level=0):
 
 
 class _Loader(importlib.machinery.SourceFileLoader):
+    def get_data(self, path):
+        return _SOURCES[path] if path in _SOURCES else super().get_data(path)
+
     def exec_module(self, module):
         # Import statements look __import__ up in the builtins of the module they stand in.
         module.__dict__["__builtins__"] = {**vars(builtins), "__import__": _import}
@@ -44,8 +49,8 @@ class _Finder:
             return None
         relative = pathlib.Path(*name.split(".")[1:])
         package = _FOLDER / relative / "__init__.py"
-        file = package if package.exists() else (_FOLDER / relative).with_suffix(".py")
-        if not file.exists():
+        file = package if str(package) in _SOURCES else (_FOLDER / relative).with_suffix(".py")
+        if str(file) not in _SOURCES:
             return None
         return importlib.util.spec_from_file_location(
             name,

@@ -1,4 +1,4 @@
-"""Draws the thesis's figures from records, as PNG and PDF: `python -m orchestrator.thesis_drawing JOB.json`.
+"""Draws the thesis's figures from records, as PNG and PDF: `python -m orchestrator.thesis.drawing JOB.json`.
 
 Frames: NED and BODY; what is desired is dashed; the axes of z and of its error point down.
 """
@@ -16,13 +16,13 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
-from . import thesis_signals as signals
-from .panels import DENSE, DESIRED, OKABE_ITO, STYLE, Curve, Panel, draw_rows, symbol
-from .store import Run
-from .thesis_cases import CASES
-from .thesis_figures import FIGURES, Figure
-from .thesis_signals import Array, Track
-from .thesis_steps import STUDIED, STUDY_STEM
+from ..panels import DENSE, DESIRED, OKABE_ITO, STYLE, Curve, Panel, draw_rows, symbol
+from ..store import Run
+from . import signals
+from .cases import CASES
+from .figures import FIGURES, Figure
+from .signals import Array, Track
+from .steps import STUDIED, STUDY_STEM
 
 DPI = 130
 METADATA: dict[str, dict[str, Any]] = {"png": {}, "pdf": {"CreationDate": None}}  # no dates: the same bytes again
@@ -84,11 +84,18 @@ def study_canvas(rows: list[dict[str, Any]]) -> Canvas:
         keys = []
         for form, hue, marker in (("explicit", OKABE_ITO[1], "s"), ("semi-implicit", OKABE_ITO[0], "o")):
             of = [row for row in rows if row["integral"] == form]
-            style: dict[str, Any] = {"color": hue, "marker": marker, "markersize": 4}
+            style: dict[str, Any] = {"color": hue, "marker": marker, "markersize": 4, "clip_on": False}
             for ax, (metric, unit) in zip(axes.flat, STUDIED.items(), strict=True):
-                ax.loglog([1e3 * row["step"] for row in of], [row[metric] for row in of], **style)
+                ax.semilogx([1e3 * row["step"] for row in of], [row[metric] for row in of], **style)
                 kind, _, axis = metric.partition("_")
                 ax.set_ylabel(f"{kind.upper()} {symbol(axis)} [{unit}]")
+                ax.margins(x=0.06)
+                if kind == "rms":
+                    ax.set(yscale="log", ylim=(0.05, 1.1))
+                    ax.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0], ["0.05", "0.1", "0.2", "0.5", "1"])
+                    ax.minorticks_off()
+                elif axis == "phi":
+                    ax.set_yscale("log")
             keys.append(Line2D([], [], label=f"{form} integral", **style))
         for ax, metric in zip(axes.flat, STUDIED, strict=True):
             if rows[0]["published"][metric]:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from .thesis_cases import CASES, LABELS, case_name, thesis_folder
+from .cases import CASES, LABELS, case_name, thesis_folder
 
 CAPTIONS = {
     "5.2": "RMS error of the linear positions",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .thesis_cases import CASES, TIME_BASES, case_name
+from .cases import CASES, TIME_BASES, case_name
 
 TITLES = {  # of the six controllers on the spiral, as the thesis's list of figures names them
     case_name("spiral", "pid"): "the PID controller",
@@ -36,7 +36,7 @@ GRIPPING_ERRORS = ("x", "y", "z", "phi", "psi")
 class Figure:
     """One figure.
 
-    number: such as "5.57".  kind: a function of thesis_drawing.  cases: of the runs it shows, in the legend's order.
+    number: such as "5.57".  kind: a function of `drawing`.  cases: of the runs it shows, in the legend's order.
     options: of the function.
     """
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import build, metrics, workers
-from .errors import OrchError, RunError, StoreError
-from .experiment import load
-from .store import Run, Store
-from .thesis_cases import CASES, Case
-from .wiring import Plan
+from .. import build, metrics, workers
+from ..errors import OrchError, RunError, StoreError
+from ..experiment import load
+from ..store import Run, Store
+from ..wiring import Plan
+from .cases import CASES, Case
 
 Tell = Callable[[str], None]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from . import metrics
-from .thesis_cases import LABELS, case_name
-from .thesis_claims import Claim, listed, verdict
-from .thesis_signals import Array, Track, distance, heading_difference
+from .. import metrics
+from .cases import LABELS, case_name
+from .claims import Claim, listed, verdict
+from .signals import Array, Track, distance, heading_difference
 
 CONTROLLERS = ("mfsosmc", "nstsmc", "ftsosmc")
 CONTROLLED = ("x", "y", "z", "phi", "psi")

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING
 
-from . import thesis_claims, thesis_steps
-from .thesis_cases import CASES
-from .thesis_figures import FIGURES
-from .thesis_tables import CAPTIONS, Verdict, best
+from . import claims as thesis_claims
+from . import steps as thesis_steps
+from .cases import CASES
+from .figures import FIGURES
+from .tables import CAPTIONS, Verdict, best
 
 if TYPE_CHECKING:
     from .reproduce import Outcome

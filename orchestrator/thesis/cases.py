@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .build import experiments_folder
-from .experiment import load
-from .wiring import Plan, prepare
+from ..build import experiments_folder
+from ..experiment import load
+from ..wiring import Plan, prepare
 
 LABELS = {
     "pid": "PID",

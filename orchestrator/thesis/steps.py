@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .thesis_cases import Case, case_name
-from .thesis_tables import metric_name, published
+from .cases import Case, case_name
+from .tables import metric_name, published
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)  # s
 BASE = Case(case_name("spiral", "mfsosmc", t_b=5), "spiral", "mfsosmc", currents=False, t_b=5)

@@ -13,18 +13,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from . import build, claims_gripping, claims_spiral, thesis_claims, thesis_signals, thesis_steps, thesis_tables, workers
-from .errors import OrchError, StoreError
-from .store import Run
-from .thesis_cases import CASES, Case, grippings, spirals
-from .thesis_claims import Claim
-from .thesis_figures import FIGURES
-from .thesis_runs import Progress, Record, Tell, reason, run_cases
-from .thesis_tables import CAPTIONS, Verdict
+from .. import build, workers
+from ..errors import OrchError, StoreError
+from ..store import Run
+from . import claims as thesis_claims
+from . import claims_gripping, claims_spiral
+from . import signals as thesis_signals
+from . import steps as thesis_steps
+from . import tables as thesis_tables
+from .cases import CASES, Case, grippings, spirals
+from .claims import Claim
+from .figures import FIGURES
+from .runs import Progress, Record, Tell, reason, run_cases
+from .tables import CAPTIONS, Verdict
 
 FOLDER = "_thesis"
 FORMS = {"md": thesis_tables.markdown, "csv": thesis_tables.csv_text, "tex": thesis_tables.latex}
-DRAWING = ("thesis_drawing", "thesis_figures", "thesis_signals", "thesis_cases", "thesis_steps", "panels")
+DRAWING = ("thesis/drawing", "thesis/figures", "thesis/signals", "thesis/cases", "thesis/steps", "panels")
 
 
 @dataclass(frozen=True)
@@ -168,7 +173,7 @@ def _draw(
 
 def _drawing_job(path: Path, job: Mapping[str, Any], name: str) -> workers.Job:
     path.write_text(json.dumps(job), encoding="utf-8")
-    return workers.Job(name, ("-m", "orchestrator.thesis_drawing", str(path)))
+    return workers.Job(name, ("-m", "orchestrator.thesis.drawing", str(path)))
 
 
 def _drawn(stem: Path) -> bool:
@@ -185,7 +190,7 @@ def _stamp(*parts: str) -> str:
 
 def _write(outcome: Outcome, selection: Selection) -> None:
     """Tables, claims and study as files; with everything selected the index and the summary, too."""
-    from . import thesis_page
+    from . import page
 
     folder = outcome.folder
     for table in selection.tables:
@@ -198,7 +203,7 @@ def _write(outcome: Outcome, selection: Selection) -> None:
         (folder / f"{thesis_steps.STUDY_STEM}.csv").write_text(thesis_steps.csv_text(outcome.study), encoding="utf-8")
     if selection.whole:
         (folder / "summary.json").write_text(json.dumps(summary(outcome), indent=1) + "\n", encoding="utf-8")
-        (folder / "index.html").write_text(thesis_page.page(outcome), encoding="utf-8")
+        (folder / "index.html").write_text(page.page(outcome), encoding="utf-8")
 
 
 def report(outcome: Outcome, folder: str) -> str:
@@ -211,7 +216,7 @@ def report(outcome: Outcome, folder: str) -> str:
     if outcome.claims:
         lines.append(thesis_claims.tally(outcome.claims))
     if outcome.figures:
-        lines.append(f"{len(outcome.figures)} figures, {outcome.drawn} drawn anew")
+        lines.append(f"figures: {len(outcome.figures)}, drawn anew: {outcome.drawn}")
     lines += [f"OUTSIDE  {sentence}" for sentence in outcome.outside]
     return "\n".join([*lines, folder])
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import metrics
-from .thesis_cases import TIME_BASES, case_name, spirals
-from .thesis_claims import Claim, listed, verdict
-from .thesis_signals import Array, Track
-from .thesis_tables import Verdict
+from .. import metrics
+from .cases import TIME_BASES, case_name, spirals
+from .claims import Claim, listed, verdict
+from .signals import Array, Track
+from .tables import Verdict
 
 POSITIONS = ("x", "y", "z")
 LINEAR, ANGULAR, CONTROL = ("5.2", "5.5"), ("5.3", "5.6"), ("5.4", "5.7")  # tables without and with current

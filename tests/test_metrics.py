@@ -1,0 +1,183 @@
+"""Metrics against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import merged, single
+
+import orchestrator
+from orchestrator import metrics
+
+T = np.linspace(0.0, 1.0, 1001)
+SINE = np.sin(2 * np.pi * 5 * T)  # five periods: the sum over all samples but the last is that over whole periods
+DECAY = np.exp(-T / 0.1)
+TRAPEZOID = 1e-5  # relative: h^2 / 12 of the second derivative, at 1 ms
+
+# --- The functions ----------------------------------------------------------------------------------------------------
+
+
+def test_rms_of_a_sine_is_its_amplitude_by_root_two():
+    assert metrics.rms(T[:-1], 3 * SINE[:-1]) == pytest.approx(3 / math.sqrt(2), rel=1e-12)  # rounding
+    assert metrics.rms(T, np.full(1001, -2.0)) == 2.0
+
+
+def test_max_abs_and_final():
+    assert metrics.max_abs(T, -4 * T) == 4.0
+    assert metrics.final(T, -4 * T) == -4.0
+
+
+def test_integrals_of_an_exponential():
+    rest = 1 - math.exp(-10)
+    assert metrics.iae(T, -DECAY) == pytest.approx(0.1 * rest, rel=TRAPEZOID)
+    assert metrics.ise(T, DECAY) == pytest.approx(0.05 * (1 - math.exp(-20)), rel=4 * TRAPEZOID)  # twice as steep
+    assert metrics.itae(T, DECAY) == pytest.approx(0.01 * (1 - 11 * math.exp(-10)), rel=TRAPEZOID)
+    assert metrics.itae(T + 5.0, DECAY) == pytest.approx(metrics.itae(T, DECAY), rel=1e-12)  # t from the first sample
+
+
+def test_settling_time_is_when_the_error_enters_the_band_for_good():
+    assert metrics.settling_time(T, DECAY, 0.05) == T[int(np.ceil(0.1 * math.log(20) * 1000))]
+    swing = np.where(T < 0.5, 0.0, np.where(T < 0.6, 1.0, 0.0))  # in, out again, in
+    assert metrics.settling_time(T, swing, 0.1) == 0.6
+    assert metrics.convergence_time(T, swing, 0.1) == 0.0
+
+
+def test_settling_time_at_its_edges():
+    ramp = T.copy()
+    assert metrics.settling_time(T, 0 * T, 0.1) == 0.0  # never outside
+    assert metrics.settling_time(T + 3.0, 0 * T, 0.1) == 3.0  # of a window: from its start
+    assert metrics.settling_time(T, ramp, 0.1) == math.inf  # outside at the end
+    assert metrics.settling_time(T, 1 - ramp, 1.0) == 0.0  # on the edge of the band is inside
+    assert metrics.settling_time(T[:1], np.array([2.0]), 1.0) == math.inf
+    last = np.r_[np.ones(1000), 0.0]
+    assert metrics.settling_time(T, last, 0.5) == 1.0  # inside in the last sample only
+    assert metrics.convergence_time(T, 1 + ramp, 0.1) == math.inf
+
+
+def test_overshoot_and_total_variation():
+    assert metrics.overshoot(T, DECAY) == 0.0
+    assert metrics.overshoot(T, -2 * np.cos(2 * np.pi * T)) == pytest.approx(100.0)
+    assert math.isnan(metrics.overshoot(T, T))
+    assert metrics.total_variation(T, SINE) == pytest.approx(20.0, rel=TRAPEZOID)  # 4 per period
+
+
+def test_energy_is_power_over_time():
+    u = np.column_stack([np.full(1001, 0.25), np.full(1001, -1.0)])
+    assert metrics.power(u, 100.0) == pytest.approx(np.full(1001, 112.5))  # 0.25^(3/2) = 1/8
+    assert metrics.energy(2 * T, u, 100.0) == pytest.approx(225.0)
+    assert metrics.mean_power(2 * T, u, 100.0) == pytest.approx(112.5)
+
+
+def test_distance_is_euclidean():
+    points = np.zeros((3, 3))
+    assert metrics.distance(T[:3], points, points + np.array([1.0, 2.0, -2.0])).tolist() == [3.0, 3.0, 3.0]
+
+
+@pytest.mark.parametrize(("heading", "other", "degrees"), [
+    (math.pi, 0.0, 180.0), (0.0, math.pi / 2, 270.0), (5 * math.pi, 0.0, 180.0), (-3 * math.pi, math.pi / 2, 90.0),
+    (0.1, 0.1, 0.0),
+])  # fmt: skip
+def test_heading_difference_lies_between_0_and_360_degrees(heading, other, degrees):
+    found = metrics.heading_difference(T[:1], np.array([[heading]]), np.array([[other]]))
+    assert found[0] == pytest.approx(degrees, abs=1e-9)  # rounding of multiples of pi
+
+
+def test_heading_difference_never_gives_360_degrees():
+    """Just below zero, the remainder rounds to 360."""
+    tiny = np.array([[-1e-20], [-1e-16], [0.0], [1e-20]])
+    found = metrics.heading_difference(T[:4], tiny, np.zeros((4, 1)))
+    assert ((found >= 0.0) & (found < 360.0)).all()
+
+
+# --- In an experiment -------------------------------------------------------------------------------------------------
+
+SPECS = {
+    "rms_sine": ({"of": "rms", "signal": "one.sine.a", "before": 0.0999}, 1 / math.sqrt(2)),
+    "rms_angle": ({"of": "rms", "signal": "one.sine.b", "before": 0.0999, "unit": "deg"}, 180 / math.pi / math.sqrt(2)),
+    "rmse": ({"of": "rmse", "signal": "one.ramp", "reference": "two.ramp"}, 0.0),
+    "max": ({"of": "max_abs", "signal": "one.ramp", "after": 0.01, "before": 0.04, "unit": "mm"}, 80.0),
+    "final": ({"of": "final", "signal": "one.ramp"}, 0.2),
+    "until": ({"of": "final", "signal": "one.ramp", "before": 0.05, "unit": "cm"}, 10.0),
+    "settling": ({"of": "settling_time", "signal": "one.decay", "band": 0.5}, 0.014),  # 0.02 ln 2 = 0.01386
+    "settling_mm": ({"of": "settling_time", "signal": "one.decay", "band": 500, "unit": "mm"}, 0.014),
+    "settling_after": ({"of": "settling_time", "signal": "one.decay", "band": 0.5, "after": 0.03}, 0.03),
+    "never": ({"of": "settling_time", "signal": "one.ramp", "band": 0.01}, None),
+    "nowhere": ({"of": "rms", "signal": "one.ramp", "after": 7.0}, None),
+    "near": ({"of": "distance", "signal": "one.eta", "reference": "two.eta"}, 5.0),
+    "nearest": ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "min"}, 5.0),
+    "heading": ({"of": "heading_difference", "signal": "one.eta", "reference": "two.eta", "stat": "max"}, 270.0),
+    "variation": ({"of": "total_variation", "signal": "one.ramp"}, 0.2),
+}
+
+
+@pytest.fixture
+def waves(models):
+    table = single("waves", stop_time=0.1, step=1e-3)
+    table["components"]["two"] = {
+        "fmu": "waves", "parameters": {"place": [3.0, 0.0, -4.0], "heading": math.pi / 2},
+    }  # fmt: skip
+    return table
+
+
+def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path):
+    path = write(merged(waves, {"metrics": {name: spec for name, (spec, _) in SPECS.items()}}))
+    answer = orch("run", path, "--json")
+    assert answer.code == 0, answer.err
+    for name, (_, expected) in SPECS.items():
+        # rounding of t and of sums over a hundred samples
+        assert answer.json["metrics"][name] == (None if expected is None else pytest.approx(expected, abs=1e-12)), name
+    with orchestrator.open_run(tmp_path / answer.json["file"]) as run:
+        assert run.metrics["final"] == answer.json["metrics"]["final"]
+        assert math.isnan(run.metrics["never"])
+    text = orch("run", path).out
+    lines = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
+    assert lines["max"] == ["80", "mm"]
+    assert lines["heading"] == ["270", "deg"]
+    assert lines["settling_mm"] == ["0.014", "s"]
+    assert lines["never"] == ["never", "s"]
+    assert lines["nowhere"][:4] == ["no", "sample", "in", "its"]
+
+
+@pytest.mark.parametrize(("spec", "key", "words"), [
+    ({"signal": "one.ramp"}, "of", "is missing; known: rmse"),
+    ({"of": "rsm", "signal": "one.ramp"}, "of", "no metric 'rsm'; did you mean 'rms'"),
+    ({"of": ["rms"], "signal": "one.ramp"}, "of", "not a text"),
+    ({"of": "rms"}, "signal", "is missing"),
+    ({"of": "rms", "signal": 3}, "signal", "is 3, not a text"),
+    ({"of": "rms", "signal": "one.rmap"}, "signal", "did you mean 'one.ramp'"),
+    ({"of": "rms", "signal": "one.eta"}, "signal", "no recorded signal 'one.eta'"),
+    ({"of": "rmse", "signal": "one.ramp"}, "reference", "is missing"),
+    ({"of": "rmse", "signal": "one.ramp", "reference": "two.sine.b"}, "reference", "is in 'rad', one.ramp in 'm'"),
+    ({"of": "rms", "signal": "one.ramp", "unit": "deg"}, "unit", "'m' does not convert to 'deg'"),
+    ({"of": "rms", "signal": "one.ramp", "unit": ["mm"]}, "unit", "not a text"),
+    ({"of": "rms", "signal": "one.ramp", "affter": 1.0}, "affter", "did you mean 'after'"),
+    ({"of": "rms", "signal": "one.ramp", "after": "1"}, "after", "'1', not a number"),
+    ({"of": "rms", "signal": "one.ramp", "after": 2.0, "before": 1.0}, "after", "is empty"),
+    ({"of": "settling_time", "signal": "one.ramp"}, "band", "is missing"),
+    ({"of": "settling_time", "signal": "one.ramp", "band": -0.1}, "band", "positive"),
+    ({"of": "settling_time", "signal": "one.ramp", "band": True}, "band", "not a number"),
+    ({"of": "distance", "signal": "one.eta", "reference": "two.sine"}, "reference", "no recorded signal 'two.sine'"),
+    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "median"}, "stat", "mean, min, max"),
+    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": ["min"]}, "stat", "not a text"),
+    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "unit": "mm"}, "unit", "takes no 'unit'"),
+])  # fmt: skip
+def test_a_metric_that_makes_no_sense_says_why(problems, waves, spec, key, words):
+    found = problems(merged(waves, {"metrics": {"it": spec}}))
+    assert any(k == f"metrics.it.{key}" and words in sentence for k, sentence in found), found
+
+
+def test_a_text_has_no_metric(problems, probe):
+    ((key, sentence),) = problems(merged(single(probe), {"metrics": {"it": {"of": "final", "signal": "one.words"}}}))
+    assert key == "metrics.it.signal"
+    assert "no recorded signal 'one.words'" in sentence
+
+
+def test_a_signal_that_is_not_recorded_has_no_metric(problems, waves):
+    changes = {"record": {"signals": ["*", "!*.ramp"]}, "metrics": {"it": {"of": "rms", "signal": "one.ramp"}}}
+    assert [key for key, _ in problems(merged(waves, changes))] == ["metrics.it.signal"]
+
+
+def test_metrics_take_integers_and_booleans(orch, write, probe):
+    specs = {"n": {"of": "final", "signal": "one.steps"}, "half": {"of": "rms", "signal": "one.odd"}}
+    answer = orch("run", write(merged(single(probe, stop_time=0.03), {"metrics": specs})), "--json")
+    assert answer.json["metrics"] == {"n": 9.0, "half": pytest.approx(math.sqrt(0.5))}
