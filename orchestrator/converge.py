@@ -18,7 +18,7 @@ from typing import Any
 
 from .errors import ExperimentError, OrchError, Problem, RunError
 from .grid import Grid
-from .wiring import Plan
+from .plan import Plan
 
 TOLERANCE = 0.05  # of a metric: an estimated error beyond it means "not converged"
 NOISE = 1e-6  # SI; a metric that is zero but for rounding has no relative error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import ctypes
 import itertools
 import re
@@ -51,6 +53,8 @@ class Instance:
             )
         except Exception as error:  # FMPy raises what dlopen says
             raise FmuError(f"{fmu.path} cannot be loaded: {error}") from None
+        with contextlib.suppress(AttributeError):  # pythonfmu 0.7.0 frees its state twice at exit unless asked before
+            atexit.register(self._slave.dll.finalizePythonInterpreter)
         # Must live as long as the instance.
         self._callbacks = _callbacks_for(environment, formats=fmu.packaging != "python")
         try:
@@ -122,8 +126,6 @@ class Instance:
         if self._begun and self.function("fmi2Terminate")(component) > WARNING:
             return
         self.function("fmi2FreeInstance")(component)
-        # Left to the end of the process, the destructors of many Python FMUs now and then corrupt the heap.
-        self._slave.freeLibrary()
 
     def take_messages(self) -> list[str]:
         """What the FMU has said since the last call, each sentence once."""

@@ -7,7 +7,7 @@ import time
 from typing import TextIO
 
 from .master import Block
-from .wiring import Plan
+from .plan import Plan
 
 WIDTH = 24  # of the bar, characters
 EVERY = 0.1  # s of wall time

@@ -27,8 +27,8 @@ import numpy as np
 
 from .errors import StoreError
 from .master import Block, Outcome
+from .plan import Plan
 from .store import FORMAT, FORMAT_VERSION, being_written, finite, first_line, patiently
-from .wiring import Plan
 
 CHUNK_ROWS = 1024
 FLUSH_SECONDS = 1.0

@@ -10,15 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
+
 from . import experiment as experiments
 from . import metrics
 from .errors import RunError, StoreError
 from .master import Observer, Outcome, interruptible
 from .master import run as run_master
+from .plan import Plan
 from .recorder import Recorder
-from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_hdf5, is_locked
+from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_locked
 from .system import System
-from .wiring import Plan, prepare
+from .wiring import prepare
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:
 def _place(plan: Plan, output: str | Path | None, results: str | Path) -> tuple[str, Path]:
     if output is not None:
         path = Path(output)
-        if path.is_dir() or (path.exists() and path.stat().st_size and not is_hdf5(path)):
+        if path.is_dir() or (path.exists() and path.stat().st_size and not h5py.is_hdf5(path)):
             raise StoreError(f"{path} is there and is no record; it stays as it is: give --output another name")
         return plan.digest[:ID_LENGTH], path
     return Store(results).place(plan.experiment.path.stem, plan.digest)

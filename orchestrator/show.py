@@ -13,9 +13,9 @@ from typing import Any
 from . import metrics
 from .errors import ExperimentError, OrchError
 from .fmu import Fmu, split_axis
+from .plan import Plan
 from .runner import Result
 from .store import Run, finite
-from .wiring import Plan
 
 
 def result(result: Result, plan: Plan) -> str:

@@ -5,7 +5,6 @@ The format is described in docs/record.md; `recorder` writes it.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import time
@@ -43,27 +42,30 @@ class Run:
     def __init__(self, path: str | Path, file: h5py.File | None = None):
         self.path = Path(path)
         self._signals: list[str] = []
+        self._lent = file is not None
         self.file = file or self._open()
-        with self._reading("the time"):
-            self._length = len(self.file["time"])
+        self._length = self._get("the time", lambda file: len(file["time"]))
 
     def _open(self) -> h5py.File:
         if not self.path.is_file():
             raise StoreError(f"{self.path}: no such file")
-        with self._reading("it"):
-            if self.path.stat().st_size and not is_hdf5(self.path):
-                raise StoreError(f"{self.path} is no record of a run")
-            file = patiently(lambda: _opened(self.path), while_=lambda: is_locked(self.path))
-            if file.attrs["format"] != FORMAT:
-                raise StoreError(f"{self.path} is no record of a run")
-            return file
-
-    @contextlib.contextmanager
-    def _reading(self, what: str) -> Iterator[None]:
         try:
-            yield
+            file = patiently(lambda: _opened(self.path), while_=lambda: is_locked(self.path))
         except UNREADABLE as error:
-            raise StoreError(f"{self.path}: {what} cannot be read: {first_line(error)}") from None
+            raise StoreError(f"{self.path} is no record of a run that can be read: {first_line(error)}") from None
+        return file
+
+    def _get(self, what: str, read: Callable[[h5py.File], T]) -> T:
+        """Read from the file; while it is being written, what HDF5 knows of it gets out of date: then open it again."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return read(self.file)
+            except UNREADABLE as error:
+                if self._lent or time.monotonic() > deadline or not is_locked(self.path):
+                    raise StoreError(f"{self.path}: {what} cannot be read: {first_line(error)}") from None
+            self.file.close()
+            self.file = self._open()
 
     def __enter__(self) -> Run:
         return self
@@ -85,50 +87,45 @@ class Run:
 
     def _read(self, name: str) -> Any:
         component, _, variable = name.partition(".")
-        with self._reading(name):
-            dataset = self.file[component][variable]
+
+        def values(file: h5py.File) -> Any:
+            dataset = file[component][variable]
             is_text = h5py.check_string_dtype(dataset.dtype) is not None
             return (dataset.asstr() if is_text else dataset)[: self._length]
 
+        return self._get(name, values)
+
     @property
     def time(self) -> Any:
-        with self._reading("the time"):
-            return self.file["time"][: self._length]
+        return self._get("the time", lambda file: file["time"][: self._length])
 
     @property
     def signals(self) -> list[str]:
         """Names of all recorded variables, components in order."""
         if not self._signals:
-            with self._reading("the list of signals"):
-                self._signals = [
-                    f"{component}.{variable}"
-                    for component, group in self.file.items()
-                    if isinstance(group, h5py.Group)
-                    for variable in _datasets(group)
-                ]
+            self._signals = self._get("the list of signals", _signals)
         return self._signals
 
     def units(self, name: str) -> str:
         component, _, variable = name.partition(".")
-        return str(self.file[component][variable].attrs["units"])
+        return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
 
     @property
     def attributes(self) -> dict[str, Any]:
         """The root attributes, JSON decoded."""
-        with self._reading("its attributes"):
-            found = {n: v.item() if isinstance(v, np.generic) else v for n, v in self.file.attrs.items()}
-            return {name: json.loads(value) if name in JSON else value for name, value in found.items()}
+        found = self._get("its attributes", lambda file: dict(file.attrs))
+        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
+        return {name: json.loads(value) if name in JSON else value for name, value in values.items()}
 
     @property
     def status(self) -> str:
         """completed, failed, interrupted, running, or "interrupted (killed)" where nobody writes it any more."""
-        with self._reading("its status"):
-            status = str(self.file.attrs["status"])
+        status = self._get("its status", lambda file: str(file.attrs["status"]))
         return "interrupted (killed)" if status == "running" and not is_locked(self.path) else status
 
     @property
     def run_id(self) -> str:
-        return str(self.file.attrs["run_id"])
+        return self._get("its run id", lambda file: str(file.attrs["run_id"]))
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -182,6 +179,11 @@ class Store:
         raise AssertionError("two digests cannot share all their digits")
 
 
+def _signals(file: h5py.File) -> list[str]:
+    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group)}
+    return [f"{component}.{variable}" for component, group in groups.items() for variable in _datasets(group)]
+
+
 def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
     """Names of all datasets; those of variables whose names contain a slash lie in groups of their own."""
     for name, item in group.items():
@@ -189,11 +191,6 @@ def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
             yield from _datasets(item, f"{above}{name}/")
         else:
             yield above + name
-
-
-def is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(8) == b"\x89HDF\r\n\x1a\n"
 
 
 def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True) -> T:
@@ -211,9 +208,9 @@ def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True
 def _opened(path: Path) -> h5py.File:
     """The file, with its attributes.  Raises OSError where it has none, or none yet."""
     file = h5py.File(path, "r", locking=False)
-    if "hostname" not in file.attrs:
+    if "hostname" not in file.attrs or file.attrs["format"] != FORMAT:
         file.close()
-        raise OSError("it says nothing of a run")
+        raise OSError("it says nothing of one")
     return file
 
 
@@ -269,8 +266,6 @@ def _digest_of(path: Path) -> str:
 
 def first_line(error: BaseException) -> str:
     return str(error).partition("\n")[0]
-
-
 
 
 def open_run(run: str | Path, results: str | Path = "results") -> Run:

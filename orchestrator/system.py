@@ -23,7 +23,7 @@ import numpy as np
 from .errors import FmuError
 from .fmu import Fmu, Variable, unpack
 from .instance import CallFailed, Instance
-from .wiring import Part, Plan
+from .plan import Part, Plan
 
 DTYPES = {"real": np.float64, "integer": np.int32, "boolean": np.int32, "string": object}
 KINDS = tuple(DTYPES)
@@ -307,6 +307,8 @@ def _publish(table: Any, targets: Any, buffer: Any, chosen: Any) -> Action:
 def _claim_modules(fmu: Fmu) -> None:
     """Refuse a Python FMU whose modules this process already knows as something else: it would compute with those."""
     for module, digest in fmu.python_modules.items():
+        if module.startswith(f"{fmu.model_identifier}_{fmu.guid[:12]}"):
+            continue  # packaged by us: the name holds the digest of the content
         if module not in _loaded_modules:
             if module in sys.modules:
                 where = getattr(sys.modules[module], "__file__", None) or "Python itself"

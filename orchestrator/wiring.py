@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,56 +15,8 @@ from . import build, metrics
 from .errors import ExperimentError, FmuError, Problem, did_you_mean
 from .experiment import Component, Experiment
 from .fmu import Fmu, Variable, read
+from .plan import Link, Part, Plan
 from .values import flatten
-
-
-@dataclass(frozen=True)
-class Part:
-    """A component ready to be instantiated."""
-
-    name: str
-    fmu_name: str  # as the experiment names it
-    fmu: Fmu
-    period: int  # ticks of the master
-    parameters: Mapping[str, Any]  # {FMI variable: value}
-    start: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Link:
-    """One scalar connection."""
-
-    sink: str
-    input: Variable
-    source: str
-    output: Variable
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What will run.  `resolved`: the whole of it that decides the numbers; `digest`: its SHA-256."""
-
-    experiment: Experiment
-    parts: tuple[Part, ...]
-    links: tuple[Link, ...]
-    recorded: tuple[tuple[str, Variable], ...]
-    resolved: Mapping[str, Any]
-    digest: str
-    notes: tuple[str, ...]
-
-    @property
-    def steps(self) -> int:
-        """How many ticks the run has."""
-        ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
-        assert ticks is not None  # checked by experiment.load
-        return ticks
-
-    @property
-    def stride(self) -> int:
-        """Ticks from row to row."""
-        ticks = self.experiment.grid.ticks(self.experiment.record.every)
-        assert ticks is not None
-        return ticks
 
 
 def resolve(experiment: Experiment, unbuilt: Mapping[str, str] | None = None) -> Plan:
@@ -97,10 +47,7 @@ class _Resolver:
         self.check_metrics(recorded)
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
-        resolved = self.resolved(parts, links, recorded)
-        text = json.dumps(_identity(resolved), sort_keys=True, separators=(",", ":"))
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), resolved, digest, tuple(self.notes))
+        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), tuple(self.notes))
 
     def problem(self, key: str, sentence: str) -> None:
         self.problems.append(Problem(key, sentence))
@@ -296,22 +243,6 @@ class _Resolver:
         component = str(signal).partition(".")[0]
         return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
 
-    def resolved(self, parts: list[Part], links: list[Link], recorded: list[tuple[str, Variable]]) -> dict[str, Any]:
-        master, record = self.experiment.master, self.experiment.record
-        return {
-            "title": self.experiment.title,
-            "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
-                       "seed": master.seed},
-            "components": [
-                {"name": p.name, "fmu": p.fmu_name, "fmu_sha256": p.fmu.sha256, "period": p.period,
-                 "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
-                for p in parts
-            ],
-            "connections": sorted([f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in links),
-            "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in recorded]},
-            "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
-        }  # fmt: skip
-
 
 def matches(name: str, pattern: str) -> bool:
     """Whether a signal or the vector it belongs to fits a glob."""
@@ -328,12 +259,6 @@ def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None
     except build.BuildError as error:
         unbuilt = error.reasons
     return resolve(experiment, unbuilt)
-
-
-def _identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
-    components = [{k: v for k, v in c.items() if k != "fmu"} for c in resolved["components"]]
-    return {**{k: resolved[k] for k in ("master", "connections", "record")}, "components": components}
 
 
 def _article(causality: str) -> str:

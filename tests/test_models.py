@@ -268,8 +268,8 @@ def test_the_vertical_commands_are_clipped_each_for_itself():
     np.testing.assert_array_equal(u, [0.5, -1.0, 0.3, 0.25, 1, -1])
 
 
-def test_saturation_leaves_commands_within_the_limits_alone():
-    u = np.array([1.0, -1.0, 0.3, 0.0, 1.0, -1.0])
+@pytest.mark.parametrize("u", [(1.0, -1.0, 0.3, 0.0, 1.0, -1.0), (0.5, -0.8, 0.3, 0.0, 0.2, -0.9)])
+def test_saturation_leaves_commands_within_the_limits_alone(u):
     np.testing.assert_array_equal(number(saturate(ca.DM(u))), u)
 
 

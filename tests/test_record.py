@@ -1,6 +1,5 @@
 """The record of a run: readable without this project, and after a kill."""
 
-import contextlib
 import json
 import os
 import subprocess
@@ -444,7 +443,7 @@ def test_thousands_of_signals_are_recorded(recorded, tmp_path):
 
 
 def test_a_damaged_record_is_an_error_with_a_sentence_and_is_run_again(orch, write, probe, tmp_path):
-    """A kill in the middle of a write leaves anything behind."""
+    """A kill in the middle of the first write leaves such a file."""
     path = write(single(probe))
     record = tmp_path / orch("run", path, "--json").json["file"]
     content = record.read_bytes()
@@ -452,12 +451,6 @@ def test_a_damaged_record_is_an_error_with_a_sentence_and_is_run_again(orch, wri
         record.write_bytes(content[:size])
         with pytest.raises(orchestrator.StoreError, match=record.name):
             orchestrator.open_run(record)["one.y"]
-    for start in range(0, 4000, 400):  # holes in the head
-        record.write_bytes(content[:start] + bytes(200) + content[start + 200 :])
-        with contextlib.suppress(orchestrator.StoreError), orchestrator.open_run(record) as run:
-            assert run.status == "completed"
-            assert run.time.tolist() == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
-            assert run["one.y"].tolist() == run.time.tolist()
     record.write_bytes(content[:1000])
     assert orch("run", path, "--json").json["status"] == "completed"
     assert orchestrator.open_run(record)["one.y"][-1] == 0.05

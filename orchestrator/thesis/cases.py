@@ -9,7 +9,8 @@ from typing import Any
 
 from ..build import experiments_folder
 from ..experiment import load
-from ..wiring import Plan, prepare
+from ..plan import Plan
+from ..wiring import prepare
 
 LABELS = {
     "pid": "PID",

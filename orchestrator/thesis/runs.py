@@ -11,8 +11,8 @@ from pathlib import Path
 from .. import build, metrics, workers
 from ..errors import OrchError, RunError, StoreError
 from ..experiment import load
+from ..plan import Plan
 from ..store import Run, Store
-from ..wiring import Plan
 from .cases import CASES, Case
 
 Tell = Callable[[str], None]

@@ -1,0 +1,86 @@
+"""What will run: an experiment with every name resolved and every value checked, and the digest that identifies it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from .experiment import Experiment
+from .fmu import Fmu, Variable
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component ready to be instantiated."""
+
+    name: str
+    fmu_name: str  # as the experiment names it
+    fmu: Fmu
+    period: int  # ticks of the master
+    parameters: Mapping[str, Any]  # {FMI variable: value}
+    start: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One scalar connection."""
+
+    sink: str
+    input: Variable
+    source: str
+    output: Variable
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will run.  `recorded`: component and variable of each signal."""
+
+    experiment: Experiment
+    parts: tuple[Part, ...]
+    links: tuple[Link, ...]
+    recorded: tuple[tuple[str, Variable], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def steps(self) -> int:
+        """How many ticks the run has."""
+        ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
+        assert ticks is not None  # checked by experiment.load
+        return ticks
+
+    @property
+    def stride(self) -> int:
+        """Ticks from row to row."""
+        ticks = self.experiment.grid.ticks(self.experiment.record.every)
+        assert ticks is not None
+        return ticks
+
+    @cached_property
+    def resolved(self) -> dict[str, Any]:
+        """The whole of it, as JSON can hold it."""
+        master, record = self.experiment.master, self.experiment.record
+        return {
+            "title": self.experiment.title,
+            "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
+                       "seed": master.seed},
+            "components": [
+                {"name": p.name, "fmu": p.fmu_name, "fmu_sha256": p.fmu.sha256, "period": p.period,
+                 "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
+                for p in self.parts
+            ],
+            "connections": sorted([f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in self.links),
+            "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
+            "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
+        }  # fmt: skip
+
+    @cached_property
+    def digest(self) -> str:
+        """The SHA-256 of what decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
+        components = [{k: v for k, v in c.items() if k != "fmu"} for c in self.resolved["components"]]
+        deciding = {**{k: self.resolved[k] for k in ("master", "connections", "record")}, "components": components}
+        text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
