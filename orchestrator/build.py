@@ -25,7 +25,7 @@ class BuildError(OrchError):
 
     def __init__(self, reasons: dict[str, str]):
         self.reasons = reasons
-        super().__init__("\n".join(reasons.values()))
+        super().__init__("\n".join(dict.fromkeys(reasons.values())))
 
 
 def models_folder() -> Path:
@@ -123,8 +123,14 @@ def _source(name: str) -> tuple[str, Path | None]:
 
 
 def _package(sources: dict[str, Path]) -> None:
-    for name in sources:
-        _stamp(target(name)).unlink(missing_ok=True)
+    folder = target("x").parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in sources:
+            _stamp(target(name)).unlink(missing_ok=True)
+    except OSError as error:
+        sentence = f"the folder of built FMUs, {folder}, cannot be written: {error.strerror}"
+        raise BuildError(dict.fromkeys(sources, sentence)) from None
     requests = "".join(json.dumps({"source": str(s), "target": str(target(n))}) + "\n" for n, s in sources.items())
     # Without bytecode files: the sources' folder may be shared or not writable.
     environment = {**os.environ, "PYTHONPATH": str(models_folder()), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -133,8 +139,9 @@ def _package(sources: dict[str, Path]) -> None:
     )
     answers = {Path(a["target"]).stem: a for a in map(json.loads, process.stdout.splitlines())}
     reasons = {}
+    last_words = process.stderr.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
     for name, source in sources.items():
-        answer = answers.get(name, {"error": f"the build stopped: {process.stderr.strip() or process.returncode}"})
+        answer = answers.get(name, {"error": f"the build stopped: {last_words[0]}"})
         if "error" in answer:
             reasons[name] = f"{source} cannot be built: {answer['error']}"
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -20,6 +21,9 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Entry point: exit codes 0 done, 2 not started, 3 failed, 130 interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal may lack the letters of a model's own words
     try:
         code = orch.main(standalone_mode=False)
     except click.exceptions.Abort:  # what click makes of Ctrl-C

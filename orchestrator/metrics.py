@@ -173,6 +173,11 @@ def evaluate(run: Run, specs: Mapping[str, Mapping[str, Any]]) -> dict[str, floa
     return {name: _evaluate(run, spec) for name, spec in specs.items()}
 
 
+def finite(metrics: Mapping[str, float]) -> dict[str, float | None]:
+    """The metrics as JSON can hold them: null for what is no number."""
+    return {name: value if math.isfinite(value) else None for name, value in metrics.items()}
+
+
 def unit_of(spec: Mapping[str, Any], units: Mapping[str, str]) -> str:
     """The unit of a metric's number.  units: {signal: unit}."""
     unit = spec.get("unit") or units.get(spec["signal"], "")

@@ -27,8 +27,9 @@ import numpy as np
 
 from .errors import StoreError
 from .master import Block, Outcome
+from .metrics import finite
 from .plan import Plan
-from .store import FORMAT, FORMAT_VERSION, being_written, finite, first_line, patiently
+from .store import FORMAT, FORMAT_VERSION, being_written, first_line, patiently
 
 CHUNK_ROWS = 1024
 FLUSH_SECONDS = 1.0

@@ -8,14 +8,17 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import metrics
 from .errors import ExperimentError, OrchError
 from .fmu import Fmu, split_axis
+from .metrics import finite
 from .plan import Plan
-from .runner import Result
-from .store import Run, finite
+
+if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
+    from .runner import Result
+    from .store import Run
 
 
 def result(result: Result, plan: Plan) -> str:

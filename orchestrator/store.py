@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -249,11 +249,6 @@ def being_written(path: Path) -> StoreError:
     except UNREADABLE:
         writer = "another process"
     return StoreError(f"{path} is being written by {writer}; wait for it, or write to another file with --output")
-
-
-def finite(metrics: Mapping[str, float]) -> dict[str, float | None]:
-    """The metrics as JSON can hold them: null for what is no number."""
-    return {name: value if math.isfinite(value) else None for name, value in metrics.items()}
 
 
 def _digest_of(path: Path) -> str:

@@ -47,6 +47,19 @@ def test_help_is_there_at_once():
     assert done.stdout == "set()\n"
 
 
+def test_a_check_needs_neither_records_nor_models(write, spiral, python):
+    write(spiral)
+    answer = python("""
+import sys
+from orchestrator.cli import orch
+
+orch(["check", "mine.toml"], standalone_mode=False)
+print({"h5py", "casadi", "pandas"} & set(sys.modules))
+""")
+    assert answer.code == 0, answer.err
+    assert answer.out.endswith("set()\n")
+
+
 def test_a_run_does_not_import_what_only_plots_need(write, probe, tmp_path, python):
     write(single(probe))
     answer = python("""
@@ -147,3 +160,10 @@ def test_check_as_json_is_the_resolved_experiment(orch, write, spiral):
     assert found["master"]["stop_time"] == 0.05
     assert ["vehicle.v_c.x", "current.v_c.x"] in found["connections"]
     assert len(found["digest"]) == 64
+
+
+def test_a_terminal_without_the_letters_gets_them_spelled(orch, write, models):
+    path = write({**single("clock"), "metrics": {"größe_ω": {"of": "final", "signal": "one.y"}}})
+    answer = orch("run", path, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, encoding="latin-1")
+    assert answer.code == 0
+    assert "größe_\\u03c9" in answer.out

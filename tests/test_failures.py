@@ -299,8 +299,9 @@ def test_ctrl_c_while_fmus_are_loaded_ends_without_a_crash(start, spiral, tmp_pa
     poll(lambda: list((tmp_path / "tmp").glob("orch-*")), process)
     threading.Event().wait(wait)
     assert "interrupted" in interrupt(process)
-    for path in tmp_path.glob("results/*/*"):
-        assert orchestrator.open_run(path).status == "interrupted"
+    records = list(tmp_path.glob("results/*/*"))
+    assert all(orchestrator.open_run(path).status == "interrupted" for path in records)
+    assert wait or not records  # the first of five FMUs was on its way: the others are not waited for
     assert not list((tmp_path / "tmp").iterdir())
 
 
@@ -353,6 +354,7 @@ def limited(size):
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_ends_the_run_with_a_sentence_and_keeps_its_rows(run, models):
     table = merged(single("waves", stop_time=1000.0, step=1e-3), {"record": {"signals": ["*", "!*.eta"]}})
     answer, record = run(table, preexec_fn=limited(4 << 20))

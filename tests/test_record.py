@@ -340,6 +340,31 @@ def test_what_a_kill_left_is_run_again_and_replaced(orch, write, models, tmp_pat
     assert orchestrator.open_run(record).status == "completed"
 
 
+def test_a_time_reaches_the_disk_after_its_row(python, write, models):
+    """A kill between the two flushes leaves rows without a time, never a time without its row."""
+    write(single("clock"))
+    answer = python("""
+import shutil
+import h5py
+import orchestrator as orch
+
+flush, seen = h5py.File.flush, []
+
+
+def spy(file):
+    flush(file)
+    shutil.copy(file.filename, "copy.h5")
+    with h5py.File("copy.h5", "r") as copy:
+        seen.append((len(copy["time"]), len(copy["one"]["y"])))
+
+
+h5py.File.flush = spy
+orch.run("mine.toml")
+print(list(dict.fromkeys(seen)))
+""")
+    assert answer.out == "[(0, 0), (0, 6), (6, 6)]\n", answer.err
+
+
 def test_a_record_can_be_read_while_it_is_written(endless):
     ((process, path),) = endless("live")
     lengths = []
