@@ -49,6 +49,7 @@ class Answer:
 @pytest.fixture(scope="session", autouse=True)
 def _build_folder(tmp_path_factory):
     os.environ["ORCH_BUILD"] = str(tmp_path_factory.mktemp("build"))
+    os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("tmp"))  # where killed runs leave their FMUs
     os.environ.pop("HDF5_USE_FILE_LOCKING", None)
 
 
