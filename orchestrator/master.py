@@ -100,18 +100,20 @@ def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, inter
     rows.add(0)
     rows.hand_to(observers)
     steps, chunk = system.plan.steps, 1
-    while outcome.ticks < steps and not interrupted.is_set():
-        began = time.perf_counter()
-        last = min(steps, outcome.ticks + chunk)
-        try:
-            _advance(system, rows, alternations, outcome, last, interrupted)
-        finally:
-            rows.hand_to(observers)
-        elapsed = time.perf_counter() - began
-        chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6))))
-        for observer in observers:
-            observer.progress(outcome.ticks)
-    outcome.warnings += alternations.warnings(outcome.ticks)
+    try:
+        while outcome.ticks < steps and not interrupted.is_set():
+            began = time.perf_counter()
+            last = min(steps, outcome.ticks + chunk)
+            try:
+                _advance(system, rows, alternations, outcome, last, interrupted)
+            finally:
+                rows.hand_to(observers)
+            elapsed = time.perf_counter() - began
+            chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6))))
+            for observer in observers:
+                observer.progress(outcome.ticks)
+    finally:  # a run that fails, or that an FMU ends, is judged too
+        outcome.warnings += alternations.warnings(outcome.ticks)
     if outcome.ticks < steps:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(outcome.ticks):.10g} s"

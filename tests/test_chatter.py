@@ -15,11 +15,13 @@ class Alternating(PythonModel):
     y = Output(Signal(("a", "b"), "m", "a changes its sign, b does not and is of size 1"))
     share = Parameter(1.0, "1", "share of the steps in which a changes its sign")
     size = Parameter(1.0, "m", "amplitude")
+    end = Parameter(1e9, "s", "when it ends the run")
 
     def do_step(self, t, h):
         self.n = self.n + (h > 0)
         changes = int(self.n * self.share)
         self.y = [self.size * (-1) ** changes, 1.0]
+        return t < self.end
 '''
 
 EXPERIMENT = """
@@ -29,7 +31,7 @@ step = 1e-3
 [components.source]
 fmu = "alternating"
 {step}
-parameters = {{ share = {share}, size = {size} }}
+parameters = {{ share = {share}, size = {size}, end = {end} }}
 [record]
 every = {every}
 """
@@ -44,9 +46,10 @@ def alternating(_build_folder, tmp_path_factory):
 
 @pytest.fixture
 def warnings(alternating, tmp_path):
-    def warnings(share, size=1.0, stop=0.1, every=0.02, step=""):
+    def warnings(share, size=1.0, stop=0.1, every=0.02, step="", end=1e9):
         path = tmp_path / "source.toml"
-        path.write_text(EXPERIMENT.format(share=share, size=size, stop=stop, every=every, step=step), encoding="utf-8")
+        text = EXPERIMENT.format(share=share, size=size, stop=stop, every=every, step=step, end=end)
+        path.write_text(text, encoding="utf-8")
         return run(path, results=tmp_path).attributes["warnings"]
 
     return warnings
@@ -70,6 +73,10 @@ def test_rounding_noise_is_not_reported(warnings):
 def test_what_is_small_beside_its_vector_is_not_reported(warnings):
     assert warnings(1.0, size=1e-4) == []
     assert warnings(1.0, size=1e-1) != []
+
+
+def test_a_run_that_an_fmu_ends_is_judged_too(warnings):
+    assert warnings(1.0, end=0.0605) != []
 
 
 def test_a_run_of_a_few_steps_is_not_judged(warnings):
