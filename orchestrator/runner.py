@@ -19,7 +19,7 @@ from .master import Observer, Outcome, interruptible
 from .master import run as run_master
 from .plan import Plan
 from .recorder import Recorder
-from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_locked
+from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_taken
 from .system import System
 from .wiring import prepare
 
@@ -81,7 +81,9 @@ def execute(
     with interruptible() as interrupted, System.open(plan, interrupted) as system:
         # An earlier record stays until the new one is completed.
         path = _beside(final) if final.exists() else final
-        _refuse_second_writer(final)  # one may have begun since; one that begins now finds `path` taken
+        _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
+        if output is None and not force and _status(final) == "completed":
+            return _recall(run_id, final, plan)
         recorder = Recorder(path, plan, run_id)
         try:
             outcome = run_master(system, [recorder, *observers], interrupted)
@@ -147,7 +149,7 @@ def _recall(run_id: str, path: Path, plan: Plan) -> Result:
 
 def _refuse_second_writer(path: Path) -> None:
     for other in [path, *path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")]:
-        if other.exists() and is_locked(other):
+        if other.exists() and is_taken(other):
             raise being_written(other)
 
 

@@ -230,6 +230,24 @@ def is_locked(path: Path) -> bool:
     return False
 
 
+def is_taken(path: Path) -> bool:
+    """Whether a process is writing the file, or is about to: between creating and locking it there is an instant."""
+    deadline = time.monotonic() + PATIENCE
+    while not is_locked(path):
+        if not path.exists() or _is_record(path) or time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def _is_record(path: Path) -> bool:
+    try:
+        _opened(path).close()
+    except UNREADABLE:
+        return False
+    return True
+
+
 def _is_locked_for_hdf5(path: Path) -> bool:
     """The same through HDF5, which says nothing of a file that this process has open."""
     try:

@@ -1,8 +1,10 @@
 """A run: what acts when, what is repeated, what is replaced, and what a user hears of it."""
 
+import fcntl
 import json
 import os
 import subprocess
+import threading
 
 import numpy as np
 import pytest
@@ -289,6 +291,37 @@ def test_of_processes_that_begin_at_once_one_runs(write, models, tmp_path):
     assert all("is being written by process" in err for err in refused), texts
     (final,) = tmp_path.glob("results/mine/*")
     assert orchestrator.open_run(final).status == "completed"
+
+
+def test_a_record_that_a_process_is_about_to_lock_is_taken(orch, write, models, tmp_path):
+    path = write(single("moody"))
+    final = tmp_path / orch("run", path, "--json").json["file"]
+    final.write_bytes(bytes(1 << 16))  # created by another process, its room reserved
+    with final.open("rb+") as file:
+        another = threading.Timer(0.3, fcntl.flock, (file, fcntl.LOCK_EX | fcntl.LOCK_NB))
+        with subprocess.Popen([ORCH, "run", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+            another.start()
+            assert "is being written by" in process.communicate()[1]
+    assert process.returncode == 2
+    assert list(tmp_path.glob("results/mine/*")) == [final]
+
+
+def test_a_record_completed_while_the_fmus_were_loaded_is_not_repeated(python, write, models):
+    path = write(single("moody"))
+    script = f"""
+import orchestrator
+from orchestrator import runner
+
+def late(plan, interrupted, open_=runner.System.open):
+    runner.System.open = open_
+    print(orchestrator.run({str(path)!r}).attributes["wall_time"])
+    return open_(plan, interrupted)
+
+runner.System.open = late
+print(orchestrator.run({str(path)!r}).attributes["wall_time"])
+"""
+    first, second = python(script).out.split()
+    assert first == second
 
 
 def test_output_writes_exactly_that_file_and_always_runs(orch, write, spiral, tmp_path):
