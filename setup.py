@@ -1,9 +1,10 @@
-"""The wheel carries the models' sources and the experiments inside the package, for `orch build` to find."""
+"""The compiled loop, and a wheel that carries the models' sources and the experiments, for `orch build` to find."""
 
+import os
 import shutil
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import Extension, setup
 from setuptools.command.build_py import build_py
 
 
@@ -19,4 +20,13 @@ class BuildWithModels(build_py):
             )
 
 
-setup(cmdclass={"build_py": BuildWithModels})
+LOOP = Extension(
+    "orchestrator._loop",
+    ["orchestrator/_loop.c"],
+    extra_compile_args=[] if os.name == "nt" else ["-std=c11", "-O3", "-funroll-loops", "-ffp-contract=off"],
+    define_macros=[] if os.name == "nt" else [("_POSIX_C_SOURCE", "200809L")],
+    py_limited_api=True,
+    optional=True,  # without a C compiler the loop in Python does the same
+)
+
+setup(cmdclass={"build_py": BuildWithModels}, ext_modules=[LOOP])

@@ -5,22 +5,22 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
-import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from . import compiler as compilers
 from .build import build_folder
 from .fmu import platform_folder
+from .loop import extension
 
 NEEDED = ("numpy", "h5py", "fmpy", "pythonfmu", "casadi", "matplotlib", "pandas", "click")
 OPTIONAL = {
     "xarray": "opening records with xarray.open_datatree (with h5netcdf): pip install xarray h5netcdf",
     "h5netcdf": "opening records with xarray.open_datatree: pip install xarray h5netcdf",
 }
-COMPILERS = ("cc", "gcc", "clang")
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,7 @@ def _findings() -> Iterator[Finding]:
     for name, purpose in OPTIONAL.items():
         yield _package(name, "note", f"not installed; needed for {purpose}")
     yield Finding("packaging", *_packaging())
-    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
-    yield Finding("C compiler", "ok" if compiler else "note", compiler or "none; models run as Python FMUs without one")
+    yield Finding("loop", *_loop())
     folder = build_folder()
     yield Finding("built FMUs", "ok" if _writable(folder) else "missing", f"{folder}")
     yield Finding("results", *(("ok", "./results can be written") if _writable(Path("results")) else
@@ -59,18 +58,25 @@ def _platform() -> tuple[str, str]:
         return "ok", f"{name}: tested"
     if platform.system() == "Windows" and platform.machine() in ("AMD64", "x86_64"):
         return "note", f"{name}: expected to work, not tested"
-    return "missing", f"{name}: pythonfmu has libraries for 64-bit x86 Linux and Windows only; the models cannot run"
+    return "note", f"{name}: expected to work with a C compiler, not tested"
 
 
 def _packaging() -> tuple[str, str]:
+    compiler = compilers.find()
+    if compiler is not None:
+        return "ok", f"native: models are compiled by {' '.join(compiler.command)}"
     folder, suffix = platform_folder()
     spec = find_spec("pythonfmu")
-    if spec is None or spec.origin is None:
-        return "missing", "pythonfmu is not installed"
-    libraries = list((Path(spec.origin).parent / "resources" / "binaries" / folder).glob(f"*{suffix}"))
-    if not libraries:
-        return "missing", f"pythonfmu has no library for {folder}"
-    return "ok", "python: models run in this Python through pythonfmu"
+    libraries = Path(spec.origin).parent / "resources" / "binaries" / folder if spec and spec.origin else Path("none")
+    if not list(libraries.glob(f"*{suffix}")):
+        return "missing", f"no C compiler was found, and pythonfmu has no library for {folder}: {compilers.HOW}"
+    return "note", f"python: no C compiler was found, so models run in Python, slower; {compilers.HOW}"
+
+
+def _loop() -> tuple[str, str]:
+    if extension() is not None:
+        return "ok", "compiled"
+    return "note", "python: the compiled one, ten times faster, is built where orch is installed with a C compiler"
 
 
 def _package(name: str, state: str, otherwise: str) -> Finding:

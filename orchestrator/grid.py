@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+EXACT = 1 << 53  # integers up to here are floats
 
 
 class Grid:
@@ -25,3 +30,10 @@ class Grid:
     def time(self, k: int) -> float:
         """k * step [s], rounded once."""
         return k * self._exact.numerator / self._exact.denominator
+
+    def times(self, first: int, last: int) -> Any:
+        """`time` of the ticks from `first` until before `last`, (last - first,)."""
+        numerator, denominator = self._exact.numerator, self._exact.denominator
+        if last * numerator < EXACT and denominator < EXACT:  # then a quotient of floats is rounded once, too
+            return np.arange(first, last, dtype=np.float64) * numerator / denominator
+        return np.array([self.time(k) for k in range(first, last)])

@@ -37,39 +37,51 @@ class CallFailed(Exception):
         super().__init__(f'{name}: "{words}"' if words else f"{name}, without a word")
 
 
-class Instance:
-    """A live FMU.  Raises FmuError where it cannot be instantiated."""
+class Library:
+    """The library of an FMU that is unpacked in `folder`, shared by its instances.  Raises FmuError where it does not
+    load."""
 
-    def __init__(self, name: str, fmu: Fmu, folder: Path):
+    def __init__(self, fmu: Fmu, folder: Path):
         from fmpy.fmi2 import FMU2Slave
 
-        self.name, self.fmu = name, fmu
-        self.healthy = self._begun = False
-        environment = next(_ENVIRONMENTS)
-        self._messages = _MESSAGES[environment] = deque[str](maxlen=20)
+        self.fmu, self._resources = fmu, (folder / "resources").as_uri()
         try:
-            self._slave = FMU2Slave(
-                guid=fmu.guid, unzipDirectory=str(folder), modelIdentifier=fmu.model_identifier, instanceName=name
-            )
+            # FMPy's bindings take milliseconds to make, and serve any instance.
+            self._slave = FMU2Slave(guid=fmu.guid, unzipDirectory=str(folder), modelIdentifier=fmu.model_identifier)
         except Exception as error:  # FMPy raises what dlopen says
             raise FmuError(f"{fmu.path} cannot be loaded: {error}") from None
         with contextlib.suppress(AttributeError):  # pythonfmu 0.7.0 frees its state twice at exit unless asked before
             atexit.register(self._slave.dll.finalizePythonInterpreter)
-        # Must live as long as the instance.
-        self._callbacks = _callbacks_for(environment, formats=fmu.packaging != "python")
-        try:
-            self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
-        except Exception:
-            raise FmuError(f"{fmu.path} cannot be instantiated as {name!r}{self._words(': ')}") from None
-        self.healthy = True
+
+    def instantiate(self, name: str, callbacks: Any) -> Any:
+        """The component, None where the FMU refuses.  callbacks: must live as long as the component."""
+        from fmpy.fmi2 import fmi2CoSimulation
+
+        guid, resources = self.fmu.guid.encode(), self._resources.encode()
+        return self._slave.fmi2Instantiate(
+            name.encode(), fmi2CoSimulation, guid, resources, ctypes.byref(callbacks), False, True
+        )
 
     def function(self, name: str) -> Any:
         """The FMI function itself: without the argument types that FMPy declares and ctypes would check each time."""
         return self._slave.dll[name]
 
-    @property
-    def component(self) -> Any:
-        return self._slave.component
+
+class Instance:
+    """A live FMU.  Raises FmuError where it cannot be instantiated."""
+
+    def __init__(self, name: str, library: Library):
+        self.name, self.fmu = name, library.fmu
+        self.healthy = self._begun = False
+        self.function = library.function
+        environment = next(_ENVIRONMENTS)
+        self._messages = _MESSAGES[environment] = deque[str](maxlen=20)
+        # Must live as long as the instance.
+        self._callbacks = _callbacks_for(environment, formats=self.fmu.packaging != "python")
+        self.component = library.instantiate(name, self._callbacks)
+        if self.component is None:
+            raise FmuError(f"{self.fmu.path} cannot be instantiated as {name!r}{self._words(': ')}")
+        self.healthy = True
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call an FMI function of this instance.  Raises CallFailed."""

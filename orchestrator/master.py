@@ -1,4 +1,4 @@
-"""The co-simulation master: the only loop.
+"""The co-simulation master.
 
 At tick k, time t = k * step, every component that is due steps from t to the end of its own period, in the order of the
 experiment.  When its results become visible to the others:
@@ -14,8 +14,6 @@ So a command computed from the state at t acts from t, and nothing is seen befor
 
 from __future__ import annotations
 
-import ctypes
-import math
 import signal
 import threading
 import time
@@ -24,21 +22,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-
 from .chatter import Alternations
 from .instance import DISCARD
-from .system import AlgebraicLoop, Member, MemberFailed, System
+from .loop import Block, Interrupt, Loop, choose
+from .member import MemberFailed
+from .system import AlgebraicLoop, System
+from .timing import Timing
 
 CHUNK_SECONDS = 0.02  # of wall time between two looks at the outside world
-
-
-@dataclass
-class Block:
-    """Consecutive rows of the record.  `ticks`: (N,) of the rows; `values`: {kind: (N, signals of that kind)}."""
-
-    ticks: list[int]
-    values: dict[str, Any]
+CHUNK_BYTES = 1 << 23  # of rows
 
 
 @dataclass
@@ -51,6 +43,7 @@ class Outcome:
     failed_at: float | None = None
     stopped_at: float | None = None
     warnings: list[str] = field(default_factory=list)
+    timing: dict[str, Any] = field(default_factory=dict)  # see timing
 
 
 class Observer(Protocol):
@@ -61,12 +54,12 @@ class Observer(Protocol):
     def progress(self, tick: int) -> None: ...
 
 
-def run(system: System, observers: Sequence[Observer], interrupted: threading.Event | None = None) -> Outcome:
-    """Run the opened system to its end, to a failure, or until `interrupted` is set."""
+def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
+    """Run the opened system to its end, to a failure, or until `interrupt` is set."""
     outcome = Outcome("completed")
     try:
         system.initialize()
-        _loop(system, observers, outcome, interrupted or threading.Event())
+        _step_all(system, observers, outcome, interrupt or Interrupt())
     except MemberFailed as failure:
         _fail(system, outcome, _cause(system, failure))
     except AlgebraicLoop as loop:
@@ -95,122 +88,55 @@ def _fail(system: System, outcome: Outcome, failure: MemberFailed) -> None:
     outcome.error = f"{failure.name!r} failed at t = {outcome.failed_at:.10g} s: {failure}"
 
 
-def _loop(system: System, observers: Sequence[Observer], outcome: Outcome, interrupted: threading.Event) -> None:
-    rows, alternations = _Rows(system), Alternations(system)
-    rows.add(0)
-    rows.hand_to(observers)
-    steps, chunk = system.plan.steps, 1
+def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt) -> None:
+    alternations = Alternations(system)
+    timing = Timing([part.period for part in system.plan.parts])
+    loop = choose(system, alternations, timing, interrupt)
+    _hand_over(loop, observers)
+    steps, chunk, largest = system.plan.steps, 1, _largest_chunk(system)
+    began = time.perf_counter()
     try:
-        while outcome.ticks < steps and not interrupted.is_set():
-            began = time.perf_counter()
-            last = min(steps, outcome.ticks + chunk)
+        while loop.ticks < steps and not interrupt.is_set():
+            since = time.perf_counter()
             try:
-                _advance(system, rows, alternations, outcome, last, interrupted)
+                loop.advance(min(steps, loop.ticks + chunk), CHUNK_SECONDS)
             finally:
-                rows.hand_to(observers)
-            elapsed = time.perf_counter() - began
-            chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6))))
+                outcome.ticks = loop.ticks
+                _hand_over(loop, observers)
+            elapsed = time.perf_counter() - since
+            chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
             for observer in observers:
-                observer.progress(outcome.ticks)
+                observer.progress(loop.ticks)
     finally:  # a run that fails, or that an FMU ends, is judged too
-        outcome.warnings += alternations.warnings(outcome.ticks)
-    if outcome.ticks < steps:
+        timing.stepping = time.perf_counter() - began
+        outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks, loop.name)
+        outcome.warnings += alternations.warnings(loop.ticks)
+    if loop.ticks < steps:
         outcome.status = "interrupted"
-        outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(outcome.ticks):.10g} s"
+        outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
 
 
-def _advance(
-    system: System, rows: _Rows, alternations: Alternations, outcome: Outcome, last: int, interrupted: threading.Event
-) -> None:
-    """Step until tick `last`.  Raises MemberFailed; `outcome.ticks` then names the start of the failed step."""
-    grid, stride = system.plan.experiment.grid, system.plan.stride
-    members = [(member, member.part.period) for member in system.members]
-    ending = [(m, p) for m, p in members if m.at_tick_end or m.at_period_end]
-    checked = system.tables["real"][: system.computed["real"]]
-    for k in range(outcome.ticks, last):
-        if interrupted.is_set():
-            return
-        t = ctypes.c_double(grid.time(k))
-        for member, period in members:
-            if period > 1 and k % period:
-                continue
-            for gather in member.gathers:
-                gather()
-            for set_ in member.sets:
-                if (status := set_()) != 0:
-                    _check(member, status)
-            if (status := member.step(t, member.h, 1)) != 0:
-                _check(member, status)
-            for get in member.gets:
-                if (status := get()) != 0:
-                    _check(member, status)
-            for sum_of_squares in member.sums:
-                if not math.isfinite(sum_of_squares()):
-                    _check_finite(member)
-            for publish in member.at_once:
-                publish()
-        for member, period in ending:
-            if k % period == 0:
-                for publish in member.at_tick_end:
-                    publish()
-            if (k + 1) % period == 0:
-                for publish in member.at_period_end:
-                    publish()
-        if not math.isfinite(checked.dot(checked)):
-            for member, _ in members:
-                _check_finite(member)
-        alternations.count()
-        outcome.ticks = k + 1
-        if outcome.ticks % stride == 0:
-            rows.add(outcome.ticks)
+def _hand_over(loop: Loop, observers: Sequence[Observer]) -> None:
+    for block in loop.take():
+        for observer in observers:
+            observer.rows(block)
 
 
-def _check(member: Member, status: int) -> None:
-    try:
-        member.instance.check(status)
-    except Exception as error:
-        raise MemberFailed(member, str(error), status) from None
-
-
-def _check_finite(member: Member) -> None:
-    if words := member.not_finite():
-        raise MemberFailed(member, words)
-
-
-class _Rows:
-    """Gathers rows until somebody takes them."""
-
-    def __init__(self, system: System):
-        self._system = system
-        self._clear()
-
-    def _clear(self) -> None:
-        self._ticks: list[int] = []
-        self._values: dict[str, list[Any]] = {kind: [] for kind in self._system.recorded}
-
-    def add(self, tick: int) -> None:
-        self._ticks.append(tick)
-        for kind, places in self._system.recorded.items():
-            if len(places):
-                self._values[kind].append(self._system.tables[kind][places])
-
-    def hand_to(self, observers: Sequence[Observer]) -> None:
-        if self._ticks:
-            block = Block(self._ticks, {kind: np.array(rows) for kind, rows in self._values.items() if rows})
-            self._clear()
-            for observer in observers:
-                observer.rows(block)
+def _largest_chunk(system: System) -> int:
+    """Ticks whose rows take CHUNK_BYTES."""
+    row = sum(8 * len(places) for places in system.recorded.values())
+    return system.plan.stride * max(1, CHUNK_BYTES // max(1, row))
 
 
 @contextmanager
-def interruptible() -> Iterator[threading.Event]:
+def interruptible() -> Iterator[Interrupt]:
     """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
-    flag = threading.Event()
+    interrupt = Interrupt()
     if threading.current_thread() is not threading.main_thread():
-        yield flag
+        yield interrupt
         return
-    before = signal.signal(signal.SIGINT, lambda *_: flag.set())
+    before = signal.signal(signal.SIGINT, lambda *_: interrupt.set())
     try:
-        yield flag
+        yield interrupt
     finally:
         signal.signal(signal.SIGINT, before)

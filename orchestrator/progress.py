@@ -6,7 +6,7 @@ import sys
 import time
 from typing import TextIO
 
-from .master import Block
+from .loop import Block
 from .plan import Plan
 
 WIDTH = 24  # of the bar, characters

@@ -26,7 +26,8 @@ import h5py
 import numpy as np
 
 from .errors import StoreError
-from .master import Block, Outcome
+from .loop import Block
+from .master import Outcome
 from .metrics import finite
 from .plan import Plan
 from .store import FORMAT, FORMAT_VERSION, being_written, first_line, patiently
@@ -107,6 +108,7 @@ class Recorder:
             "wall_time": wall_time,
             "real_time_factor": factor,
             "warnings": json.dumps(outcome.warnings),
+            "timing": json.dumps(outcome.timing),
         }
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:

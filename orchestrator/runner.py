@@ -47,15 +47,17 @@ def run(
     output: str | Path | None = None,
     results: str | Path = "results",
     force: bool = False,
+    packaging: str = "auto",
 ) -> Run:
     """Run an experiment; returns the open record.
 
     set: {dotted key: value} laid over the file.  swap: {component: FMU}.  output: the file to write, instead of one in
-    the store `results`.  force: run again although a completed record is there.
+    the store `results`.  force: run again although a completed record is there.  packaging: of named models, "native",
+    "python", or "auto": native where there is a C compiler.
     Raises ExperimentError where it cannot run, RunError, with `.run` open on the record, where it fails, and
     KeyboardInterrupt at Ctrl-C, when the record is closed.
     """
-    plan = prepare(experiments.load(path, set, swap))
+    plan = prepare(experiments.load(path, set, swap), packaging=packaging)
     result = execute(plan, output, results, force)
     if result.status == "interrupted":
         raise KeyboardInterrupt(f"{result.file}: {result.error}")
@@ -78,7 +80,7 @@ def execute(
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
     values: Mapping[str, float] = {}
-    with interruptible() as interrupted, System.open(plan, interrupted) as system:
+    with interruptible() as interrupt, System.open(plan, interrupt.is_set) as system:
         # An earlier record stays until the new one is completed.
         path = _beside(final) if final.exists() else final
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
@@ -86,7 +88,7 @@ def execute(
             return _recall(run_id, final, plan)
         recorder = Recorder(path, plan, run_id)
         try:
-            outcome = run_master(system, [recorder, *observers], interrupted)
+            outcome = run_master(system, [recorder, *observers], interrupt)
             recorder.flush()
             wall_time, factor = recorder.finish(outcome)
             if outcome.status == "completed":

@@ -15,6 +15,7 @@ from .errors import ExperimentError, OrchError
 from .fmu import Fmu, split_axis
 from .metrics import finite
 from .plan import Plan
+from .timing import PHASES
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from .runner import Result
@@ -66,8 +67,27 @@ def record(run: Run) -> str:
         units = {name: run.units(name) for name in run.signals}
         specs = facts["experiment_resolved"]["metrics"]
         lines += ["", "  metrics", *_table(_metrics(run.metrics, specs, units), indent=4)]
+    if facts["timing"]:
+        lines += ["", *_timing(facts["timing"])]
     lines += [f"warning: {warning}" for warning in facts["warnings"]]
     return "\n".join(lines)
+
+
+def _timing(timing: Mapping[str, Any]) -> list[str]:
+    """Where the time went: seconds of each component, estimated from timed steps."""
+    whole = timing["stepping"]
+    rows = [("", "set", "step", "get", "of all")]
+    spent = 0.0
+    for name, seconds in timing["components"].items():
+        phases = [seconds[phase] for phase in PHASES]
+        spent += sum(phases)
+        rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
+    rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
+    return [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *_table(rows, indent=4)]
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{part / whole:.1%}" if whole else "-"
 
 
 def record_as_json(run: Run) -> dict[str, Any]:
@@ -206,5 +226,3 @@ def _table(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) 
             line = line[: width - 3].rstrip() + "..."
         lines.append(line.rstrip())
     return lines
-
-

@@ -1,20 +1,16 @@
 """The live system: instances of the FMUs, and one table of values that they read from and write to.
 
 Every scalar that somebody reads, writes or records has a place in a table of its kind (real, integer, boolean, string):
-first the outputs of the components, in order, then their inputs.  Arguments of the FMI calls are built once.
+first the outputs of the components, in order, then their inputs.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import math
+import itertools
 import sys
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,56 +18,21 @@ import numpy as np
 
 from .errors import FmuError
 from .fmu import Fmu, Variable, unpack
-from .instance import CallFailed, Instance
+from .instance import Instance, Library
+from .member import AT_ONCE, PERIOD_END, TICK_END, Member, MemberFailed, failing
 from .plan import Part, Plan
 
 DTYPES = {"real": np.float64, "integer": np.int32, "boolean": np.int32, "string": object}
 KINDS = tuple(DTYPES)
 
-Action = Callable[[], Any]
-
 _loaded_modules: dict[str, tuple[str, Path]] = {}  # by Python FMUs of this process: digest and FMU
-
-
-@dataclass
-class Member:
-    """A component in the loop, with the calls that the loop makes, their arguments already built.
-
-    Each step: `gathers` (table to input buffers), `sets`, `step`, `gets`, `at_once`.  `at_tick_end` follows when all
-    components of the tick have stepped, `at_period_end` when its own step has ended: see `master`.
-    """
-
-    part: Part
-    instance: Instance
-    h: ctypes.c_double
-    gathers: list[Action] = field(default_factory=list)
-    sets: list[Action] = field(default_factory=list)
-    gets: list[Action] = field(default_factory=list)
-    at_once: list[Action] = field(default_factory=list)
-    at_tick_end: list[Action] = field(default_factory=list)
-    at_period_end: list[Action] = field(default_factory=list)
-    staged: list[Action] = field(default_factory=list)  # all of what it has computed into the table
-    sums: list[Action] = field(default_factory=list)  # of squares: not finite where a staged value is not
-    outputs: list[Variable] = field(default_factory=list)  # its real outputs, where `gets` write them, their places
-    values: Any = ()
-    places: Sequence[int] = ()
-
-    def __post_init__(self) -> None:
-        self.step = partial(self.instance.function("fmi2DoStep"), ctypes.c_void_p(self.instance.component))
-
-    def not_finite(self) -> str:
-        """The first real output that is not finite, as a sentence, or ""."""
-        for variable, value in zip(self.outputs, self.values, strict=True):
-            if not math.isfinite(value):
-                return f"{variable.causality} {variable.name} is not finite: {value}"
-        return ""
 
 
 class System:
     """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
     outputs; `recorded`: {kind: places}."""
 
-    def __init__(self, plan: Plan, interrupted: threading.Event | None = None):
+    def __init__(self, plan: Plan, interrupted: Callable[[], bool] = bool):
         self.plan, self._interrupted = plan, interrupted
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
@@ -87,10 +48,10 @@ class System:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, plan: Plan, interrupted: threading.Event | None = None) -> Iterator[System]:
+    def open(cls, plan: Plan, interrupted: Callable[[], bool] = bool) -> Iterator[System]:
         """Instantiate the FMUs; frees them at the end.
 
-        Raises FmuError where one cannot be instantiated, KeyboardInterrupt where `interrupted` is set meanwhile.
+        Raises FmuError where one cannot be instantiated, KeyboardInterrupt where it was `interrupted` meanwhile.
         """
         system = cls(plan, interrupted)
         try:
@@ -149,22 +110,24 @@ class System:
         with failing(member):
             for get in member.gets:
                 member.instance.check(get())
-        for publish in member.staged:
+        for publish in itertools.chain(*member.publish):
             publish()
 
     def _instantiate(self) -> None:
-        folders: dict[Path, Path] = {}
+        libraries: dict[Path, Library] = {}
         master = self.plan.experiment.master
         for part in self.plan.parts:
-            if self._interrupted is not None and self._interrupted.is_set():
+            if self._interrupted():
                 raise KeyboardInterrupt
-            if part.fmu.path not in folders:
-                folders[part.fmu.path] = Path(self._folder.name) / str(len(folders)) / part.fmu.model_identifier
-                unpack(part.fmu, folders[part.fmu.path])
-            _claim_modules(part.fmu)
-            instance = Instance(part.name, part.fmu, folders[part.fmu.path])
+            path = part.fmu.path
+            if path not in libraries:
+                folder = Path(self._folder.name) / str(len(libraries)) / part.fmu.model_identifier
+                unpack(part.fmu, folder)
+                _claim_modules(part.fmu)
+                libraries[path] = Library(part.fmu, folder)
+            instance = Instance(part.name, libraries[path])
             h = self.plan.experiment.grid.time(part.period) if part.period > 1 else master.step
-            self.members.append(Member(part, instance, ctypes.c_double(h)))
+            self.members.append(Member(part, instance, h))
         # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
         ours = [p for p in sys.path if p.startswith(self._folder.name)]
         sys.path[:] = [p for p in sys.path if p not in ours] + ours
@@ -200,8 +163,8 @@ class System:
             for kind in KINDS:
                 name = member.part.name
                 if variables := driven.of(name, kind):
-                    places = [place[sources[name, v.name]] for v in variables]
-                    self._wire_inputs(member, kind, variables, place[name, variables[0].name], np.array(places))
+                    origins = np.array([place[sources[name, v.name]] for v in variables], dtype=np.intp)
+                    self._wire_inputs(member, kind, variables, place[name, variables[0].name], origins)
                 if variables := outputs.of(name, kind):
                     self._wire_outputs(member, kind, variables, place[name, variables[0].name])
                 for variable in held.of(name, kind):
@@ -210,10 +173,7 @@ class System:
 
     def _wire_inputs(self, member: Member, kind: str, variables: list[Variable], first: int, sources: Any) -> None:
         table = self.tables[kind]
-        # take() copies first where source and target overlap: these two views do not.
-        computed, buffer = table[: self.computed[kind]], table[first : first + len(variables)]
-        member.gathers.append(partial(computed.take, sources, None, buffer, "clip"))
-        member.sets.append(_call(member, f"fmi2Set{kind.capitalize()}", kind, variables, buffer, reads=False))
+        member.reads(kind, variables, table[: self.computed[kind]], table[first : first + len(variables)], sources)
 
     def _wire_outputs(self, member: Member, kind: str, variables: list[Variable], first: int) -> None:
         table, n = self.tables[kind], len(variables)
@@ -224,17 +184,13 @@ class System:
             buffer = np.zeros(n, dtype=DTYPES[kind])
             at_once = [i for i, v in enumerate(variables) if v.feedthrough or member.part.period == 1]
             later = [i for i in range(n) if i not in at_once]
-            for chosen, moment in ((at_once, member.at_tick_end if jacobi else member.at_once),
-                                   (later, member.at_period_end)):  # fmt: skip
+            for chosen, moment in ((at_once, TICK_END if jacobi else AT_ONCE), (later, PERIOD_END)):
                 if chosen:
-                    publish = _publish(table, np.array(chosen) + first, buffer, np.array(chosen))
-                    moment.append(publish)
-                    member.staged.append(publish)
-            if kind == "real":
-                member.sums.append(partial(buffer.dot, buffer))
+                    places = np.array(chosen, dtype=np.intp)
+                    member.publishes(kind, moment, buffer, places, table, places + first)
         if kind == "real":
-            member.outputs, member.values, member.places = variables, buffer, range(first, first + n)
-        member.gets.append(_call(member, f"fmi2Get{kind.capitalize()}", kind, variables, buffer, reads=True))
+            member.reals, member.values, member.places = variables, buffer, range(first, first + n)
+        member.gives(kind, variables, buffer)
 
 
 class _Ports:
@@ -249,14 +205,6 @@ class _Ports:
         return sorted(self._found.get((component, kind), {}).values(), key=lambda v: v.reference)
 
 
-class MemberFailed(Exception):
-    """A component failed.  `.name`: its name; the text: its words."""
-
-    def __init__(self, member: Member, words: str, status: int = 3):
-        super().__init__(words)
-        self.member, self.name, self.status = member, member.part.name, status
-
-
 class AlgebraicLoop(Exception):
     """The initial values do not settle.  `.signals`: those that still changed."""
 
@@ -264,44 +212,6 @@ class AlgebraicLoop(Exception):
         shown = ", ".join(signals[:12]) + (", ..." if len(signals) > 12 else "")
         super().__init__(f"the initial values do not settle in 100 sweeps, an algebraic loop through {shown}; "
                          "break it with a component whose output does not depend on its input at once")  # fmt: skip
-
-
-@contextlib.contextmanager
-def failing(member: Member) -> Iterator[None]:
-    """Turn a failed FMI call into MemberFailed."""
-    try:
-        yield
-    except CallFailed as error:
-        raise MemberFailed(member, str(error)) from None
-
-
-def _call(member: Member, function: str, kind: str, variables: list[Variable], buffer: Any, reads: bool) -> Action:
-    """The FMI getter or setter for `buffer`, a numpy array, without arguments; returns the status."""
-    n = len(variables)
-    references = (ctypes.c_uint * n)(*(v.reference for v in variables))
-    call = partial(
-        member.instance.function(function), ctypes.c_void_p(member.instance.component), references, ctypes.c_size_t(n)
-    )
-    if kind != "string":
-        return partial(call, ctypes.c_void_p(buffer.ctypes.data))
-    strings = (ctypes.c_char_p * n)()
-
-    def exchange() -> Any:
-        if not reads:
-            strings[:] = list(buffer)
-        status = call(strings)
-        if reads:
-            buffer[:] = [text or b"" for text in strings]  # valid only until the next call
-        return status
-
-    return exchange
-
-
-def _publish(table: Any, targets: Any, buffer: Any, chosen: Any) -> Action:
-    def publish() -> None:
-        table[targets] = buffer[chosen]
-
-    return publish
 
 
 def _claim_modules(fmu: Fmu) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,17 @@ from .plan import Link, Part, Plan
 from .values import flatten
 
 
-def resolve(experiment: Experiment, unbuilt: Mapping[str, str] | None = None) -> Plan:
+def resolve(experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]) -> Plan:
     """Fit the experiment to its FMUs.
 
-    unbuilt: {model: why it cannot be built}.  Raises ExperimentError with every problem.
+    built: {model: its FMU}; unbuilt: {model: why it cannot be built}.  Raises ExperimentError with every problem.
     """
-    return _Resolver(experiment, unbuilt or {}).plan()
+    return _Resolver(experiment, built, unbuilt).plan()
 
 
 class _Resolver:
-    def __init__(self, experiment: Experiment, unbuilt: Mapping[str, str]):
-        self.experiment, self.unbuilt = experiment, unbuilt
+    def __init__(self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]):
+        self.experiment, self.built, self.unbuilt = experiment, built, unbuilt
         self.problems = list(experiment.problems)
         self.notes = list(experiment.notes)
         self.fmus: dict[str, Fmu] = {}  # by component
@@ -41,8 +41,11 @@ class _Resolver:
         self.find_clashes()
         parts = [self.part(c) for c in self.experiment.components if c.name in self.fmus]
         links = self.links()
+        driven: dict[str, set[str]] = {part.name: set() for part in parts}
+        for link in links:
+            driven[link.sink].add(link.input.name)
         for part in parts:
-            self.unconnected(part, links)
+            self.unconnected(part, driven[part.name])
         recorded = self.recorded()
         self.check_metrics(recorded)
         if self.problems:
@@ -60,7 +63,7 @@ class _Resolver:
             try:
                 if component.fmu in self.unbuilt:
                     raise FmuError(self.unbuilt[component.fmu])
-                path = build.locate(component.fmu, self.experiment.path.resolve().parent)
+                path = build.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
                 self.fmus[component.name] = files[path] = files.get(path) or read(path)
             except FmuError as error:
                 self.problem(f"components.{component.name}.fmu", str(error))
@@ -190,8 +193,7 @@ class _Resolver:
         ]
         return bases[0] is not None and bases[0] == bases[1]
 
-    def unconnected(self, part: Part, links: Iterable[Link]) -> None:
-        driven = {link.input.name for link in links if link.sink == part.name}
+    def unconnected(self, part: Part, driven: set[str]) -> None:
         key = f"components.{part.name}"
         for name in part.start:
             if name in driven:
@@ -250,15 +252,15 @@ def matches(name: str, pattern: str) -> bool:
     return name == pattern or fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(vector, pattern)
 
 
-def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None) -> Plan:
-    """Build what is stale, then resolve.  told: called with the name of each model that is being built."""
-    named = {c.fmu for c in experiment.components if c.fmu in build.known()}
+def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None, packaging: str = "auto") -> Plan:
+    """Build what is stale, then resolve.  told: called with what is being built; packaging: as in `build.build`."""
+    known = build.known()
+    named = {c.fmu for c in experiment.components if c.fmu in known}
     try:
-        build.build(sorted(named), told)
-        unbuilt = {}
+        built, unbuilt = build.build(sorted(named), told, packaging=packaging), {}
     except build.BuildError as error:
-        unbuilt = error.reasons
-    return resolve(experiment, unbuilt)
+        built, unbuilt = error.built, error.reasons
+    return resolve(experiment, built, unbuilt)
 
 
 def _article(causality: str) -> str:
@@ -269,4 +271,3 @@ def _axes(variables: Mapping[str, Variable]) -> str:
     if set(variables) == {""}:
         return "one value"
     return f"{len(variables)} axes ({' '.join(variables)})"
-

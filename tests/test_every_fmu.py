@@ -1,4 +1,5 @@
-"""Every shipped FMU by itself, driven by FMPy as any other tool would, and held to the contract of its role."""
+"""Every shipped FMU by itself, in both packagings, driven by FMPy as any other tool would, and held to the contract of
+its role."""
 
 import ctypes
 import itertools
@@ -10,6 +11,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from conftest import needs_compiler
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
@@ -36,6 +38,7 @@ class Alone:
             modelIdentifier=description.coSimulation.modelIdentifier, instanceName=name,
         )  # fmt: skip
         self.slave.instantiate()
+        self.running = False
 
     def enter(self, values=(), start_time=0.0):
         self.slave.setupExperiment(startTime=start_time)
@@ -46,7 +49,13 @@ class Alone:
     def start(self, values=(), start_time=0.0):
         self.enter(values, start_time)
         self.slave.exitInitializationMode()
+        self.running = True
         return self
+
+    def close(self):
+        if self.running:
+            self.slave.terminate()
+        self.slave.freeInstance()
 
     def set(self, values):
         for name, value in dict(values).items():
@@ -99,26 +108,24 @@ def _forget_modules():
     sys.path[:], sys.meta_path[:] = paths, finders
 
 
-@pytest.fixture(scope="session")
-def shipped():
-    """{name: FMU} of all shipped models, built."""
-    return build.build(FMUS)
+@pytest.fixture(scope="session", params=["python", pytest.param("native", marks=needs_compiler)])
+def shipped(request):
+    """{name: FMU} of all shipped models, in either packaging."""
+    return build.build(FMUS, packaging=request.param)
 
 
 @pytest.fixture
-def alone(shipped, unpacked):
-    """(name or path of an FMU) -> a new instance; all are freed in the end."""
+def alone(unpacked):
+    """(path of an FMU) -> a new instance; all are freed in the end."""
     opened = []
 
-    def instance(fmu):
-        path = shipped.get(fmu, fmu)
+    def instance(path):
         opened.append(Alone(*unpacked(path), f"{path.stem}{len(opened)}"))
         return opened[-1]
 
     yield instance
     for each in opened:
-        each.slave.terminate()
-        each.slave.freeInstance()
+        each.close()
 
 
 @pytest.fixture
@@ -146,7 +153,7 @@ def test_fmpy_finds_no_fault(shipped, name):
 def test_it_runs_alone_in_fmpy(shipped, unpacked, alone, name):
     folder, _ = unpacked(shipped[name])
     result = fmpy.simulate_fmu(folder, stop_time=0.1, output_interval=0.01)
-    outputs = alone(name).names("output")
+    outputs = alone(shipped[name]).names("output")
     assert set(result.dtype.names) == {"time", *outputs}
     np.testing.assert_allclose(result["time"], np.linspace(0, 0.1, 11), atol=1e-12)
     assert all(np.isfinite(result[output]).all() for output in outputs)
@@ -197,7 +204,7 @@ def declared(unknowns):
 def test_outputs_depend_on_the_inputs_that_the_description_names(shipped, alone, name):
     random, found = np.random.default_rng(1), set()
     for size, t in itertools.product((0.003, 0.4, 2.0), (0.3, 2.5, 40.0)):
-        fmu = alone(name)
+        fmu = alone(shipped[name])
         fmu.start(vary(fmu, random, ["parameter"], min(size, 0.4)))
         fmu.set(vary(fmu, random, ["input"], size))
         fmu.step(0.0, 0.01)
@@ -225,7 +232,7 @@ UNSEEN = {  # dependences that cancel, which the structure of the equations does
 def test_initial_values_depend_on_the_inputs_and_parameters_that_the_description_names(shipped, alone, name):
     random, found = np.random.default_rng(1), UNSEEN.get(name, set()).copy()
     for size, t in itertools.product((0.003, 0.4, 30.0), TIMES):
-        fmu = alone(name)
+        fmu = alone(shipped[name])
         fmu.enter(start_time=t)
         knowns = vary(fmu, random, ["input"], size) | vary(fmu, random, ["parameter"], min(size, 0.4))
         fmu.set(knowns)
@@ -277,8 +284,8 @@ def assert_its_state_round_trips(alone, fmu):
 
 
 @every_fmu
-def test_a_restored_state_goes_on_bit_for_bit(alone, name):
-    assert_its_state_round_trips(alone, name)
+def test_a_restored_state_goes_on_bit_for_bit(shipped, alone, name):
+    assert_its_state_round_trips(alone, shipped[name])
 
 
 HIDDEN = '''
@@ -366,8 +373,8 @@ def assert_instances_are_apart(alone, fmu):
 
 
 @every_fmu
-def test_two_instances_in_a_process_do_not_touch_each_other(alone, name):
-    assert_instances_are_apart(alone, name)
+def test_two_instances_in_a_process_do_not_touch_each_other(shipped, alone, name):
+    assert_instances_are_apart(alone, shipped[name])
 
 
 def test_two_instances_of_a_plain_python_model_do_not_touch_each_other(alone, hidden):
@@ -423,15 +430,13 @@ def test_a_module_that_is_imported_late_is_found_although_the_unpacked_folder_is
 
 
 def test_the_same_sources_give_the_same_bytes_in_any_folder_and_order(shipped, tmp_path, monkeypatch):
-    contents = [{name: shipped[name].read_bytes() for name in FMUS}]
-    for i, names in enumerate((FMUS, FMUS[::-1])):
-        monkeypatch.setenv("ORCH_BUILD", str(tmp_path / str(i)))
-        monkeypatch.setenv("PYTHONHASHSEED", str(i + 1))
-        built = build.build(names)
-        assert all(path.is_relative_to(tmp_path / str(i)) for path in built.values())
-        contents.append({name: built[name].read_bytes() for name in FMUS})
+    packaging = shipped["pid"].parent.name
+    monkeypatch.setenv("ORCH_BUILD", str(tmp_path))
+    monkeypatch.setenv("PYTHONHASHSEED", "1")
+    built = build.build(FMUS[::-1], packaging=packaging)
     for name in FMUS:
-        assert contents[0][name] == contents[1][name] == contents[2][name], name
+        assert built[name].is_relative_to(tmp_path)
+        assert built[name].read_bytes() == shipped[name].read_bytes(), name
 
 
 def test_an_fmu_does_not_know_where_it_was_built(own_folder, monkeypatch):
@@ -454,7 +459,7 @@ def test_a_model_is_built_again_when_its_sources_have_changed_and_only_then(own_
         return content, told.copy()
 
     first, names = built()
-    assert names == ["stale_or_not"]
+    assert names == ["building stale_or_not"]
     assert built() == (first, [])
     for helper in ("lever", "arm", "elbow"):  # an import, one inside a function, and one of a helper
         file = own_folder / f"{helper}.py"
@@ -463,12 +468,12 @@ def test_a_model_is_built_again_when_its_sources_have_changed_and_only_then(own_
         assert built() == (first, [])
         file.write_text(text.replace("0", "7").replace("2", "3"))
         other, names = built()
-        assert names == ["stale_or_not"]
+        assert names == ["building stale_or_not"]
         assert other != first
         file.write_text(text)
-        assert built() == (first, ["stale_or_not"])
-    build.target("stale_or_not").unlink()
-    assert built() == (first, ["stale_or_not"])
+        assert built() == (first, ["building stale_or_not"])
+    build.target("stale_or_not", "python").unlink()
+    assert built() == (first, ["building stale_or_not"])
 
 
 def test_a_change_in_the_shared_physics_makes_every_shipped_model_stale(own_folder, monkeypatch):
@@ -478,14 +483,14 @@ def test_a_change_in_the_shared_physics_makes_every_shipped_model_stale(own_fold
     for cached in (build.shipped, build._tools):
         monkeypatch.setattr(build, cached.__name__, cached.__wrapped__)
     told = []
-    build.build(FMUS, told.append)
+    build.build(FMUS, told.append, packaging="python")
     physics = folder / "fmus" / "uuv" / "dynamics.py"
     physics.write_text(physics.read_text() + "\n# a word more\n")
     told.clear()
-    build.build(FMUS, told.append)
-    assert sorted(told) == FMUS
+    build.build(FMUS, told.append, packaging="python")
+    assert sorted(told) == [f"building {name}" for name in FMUS]
     told.clear()
-    build.build(FMUS, told.append)
+    build.build(FMUS, told.append, packaging="python")
     assert told == []
 
 
@@ -572,8 +577,8 @@ def test_its_parameters_have_the_names_and_defaults_of_the_contract(shipped, nam
 
 
 @pytest.mark.parametrize("name", ["bluerov2_thesis", "bluerov2_allocation"])
-def test_the_thruster_matrix_is_calculated_from_the_parameters(alone, name):
-    fmu = alone(name).enter({"gamma": 0.5, "d_y": 0.2, "d_psi": 0.3})
+def test_the_thruster_matrix_is_calculated_from_the_parameters(shipped, alone, name):
+    fmu = alone(shipped[name]).enter({"gamma": 0.5, "d_y": 0.2, "d_psi": 0.3})
     c, s = math.cos(0.5), math.sin(0.5)
     T = [
         [c, c, -c, -c, 0, 0], [s, -s, s, -s, 0, 0], [0, 0, 0, 0, -1, -1], [0, 0, 0, 0, 0.2, -0.2], [0] * 6,
@@ -590,33 +595,34 @@ W = 10.5 * 9.81  # N
 LEVEL = {"B": W, "W": W, "eta_0.x": 0.0, "eta_0.y": 0.0, "eta_0.z": 0.0}
 
 
-def test_the_vehicle_at_rest_and_level_reads_minus_g_in_heave(alone):
-    vehicle = alone("bluerov2_thesis").start(LEVEL)
+def test_the_vehicle_at_rest_and_level_reads_minus_g_in_heave(shipped, alone):
+    vehicle = alone(shipped["bluerov2_thesis"]).start(LEVEL)
     np.testing.assert_allclose(vehicle.get("specific_force"), [0, 0, -9.81], atol=1e-14)
     vehicle.step(0.0, 0.01)
     np.testing.assert_allclose(vehicle.get("specific_force"), [0, 0, -9.81], atol=1e-14)
 
 
-def test_a_neutral_vehicle_at_rest_in_still_water_stays_at_rest(alone):
-    vehicle = alone("bluerov2_thesis").start(LEVEL)
+def test_a_neutral_vehicle_at_rest_in_still_water_stays_at_rest(shipped, alone):
+    vehicle = alone(shipped["bluerov2_thesis"]).start(LEVEL)
     for k in range(1000):
         vehicle.step(k * 0.01, 0.01)
     assert not vehicle.get("eta").any()
     assert not vehicle.get("nu").any()
 
 
-def test_a_vehicle_that_falls_freely_reads_nothing(alone):
-    air = {n: 0.0 for n in alone("bluerov2_thesis").names("parameter") if n[:2] in ("X_", "Y_", "Z_", "K_", "N_")}
-    vehicle = alone("bluerov2_thesis").start({**LEVEL, **air, "B": 0.0})
+def test_a_vehicle_that_falls_freely_reads_nothing(shipped, alone):
+    vehicle = alone(shipped["bluerov2_thesis"])
+    air = {n: 0.0 for n in vehicle.names("parameter") if n[:2] in ("X_", "Y_", "Z_", "K_", "N_")}
+    vehicle.start({**LEVEL, **air, "B": 0.0})
     for k in range(100):
         vehicle.step(k * 0.01, 0.01)
     assert vehicle.get(["nu.w"])[0] == pytest.approx(9.81, rel=1e-12)  # 100 roundings
     np.testing.assert_allclose(vehicle.get("specific_force"), 0, atol=1e-12)
 
 
-def test_the_specific_force_is_the_second_derivative_of_the_position_less_gravity(alone):
+def test_the_specific_force_is_the_second_derivative_of_the_position_less_gravity(shipped, alone):
     start = {"eta_0.phi": 0.4, "eta_0.psi": 1.0, "nu_0.u": 0.5, "nu_0.v": -0.4, "nu_0.p": 0.3, "nu_0.r": 1.2}
-    vehicle, h = alone("bluerov2_thesis"), 1e-3
+    vehicle, h = alone(shipped["bluerov2_thesis"]), 1e-3
     vehicle.start(start)
     vehicle.set({"v_c.x": 0.75, "v_c.y": 0.25, "v_c.z": 0.3, "u.T1": 0.4, "u.T2": -0.2, "u.T5": -0.6, "u.T6": 0.1})
     poses, readings = [], []
@@ -637,8 +643,8 @@ def test_the_specific_force_is_the_second_derivative_of_the_position_less_gravit
 
 
 @pytest.mark.parametrize("X", [5.0, 30.0, -20.0])
-def test_surge_settles_at_the_root_of_the_drag_polynomial(alone, X):
-    vehicle = alone("bluerov2_thesis").start(LEVEL)
+def test_surge_settles_at_the_root_of_the_drag_polynomial(shipped, alone, X):
+    vehicle = alone(shipped["bluerov2_thesis"]).start(LEVEL)
     T = X / (4 * math.sqrt(0.5) * 40)
     vehicle.set({"u.T1": T, "u.T2": T, "u.T3": -T, "u.T4": -T})
     for k in range(10_000):
@@ -649,14 +655,14 @@ def test_surge_settles_at_the_root_of_the_drag_polynomial(alone, X):
     assert vehicle.get(["nu.u"])[0] == pytest.approx(u, rel=0.005)
 
 
-def test_a_parameter_set_before_the_start_is_what_the_run_begins_with(alone):
-    vehicle = alone("bluerov2_thesis").start({"eta_0.z": 4.5, "nu_0.r": 0.25})
+def test_a_parameter_set_before_the_start_is_what_the_run_begins_with(shipped, alone):
+    vehicle = alone(shipped["bluerov2_thesis"]).start({"eta_0.z": 4.5, "nu_0.r": 0.25})
     np.testing.assert_array_equal(vehicle.get("eta"), [2, -1, 4.5, 0, 0, 0])
     np.testing.assert_array_equal(vehicle.get("nu"), [0, 0, 0, 0, 0, 0.25])
 
 
-def test_the_current_is_its_parameter(alone):
-    current = alone("ocean_current").start({"velocity.x": 0.75, "velocity.y": 0.25, "velocity.z": 0.3})
+def test_the_current_is_its_parameter(shipped, alone):
+    current = alone(shipped["ocean_current"]).start({"velocity.x": 0.75, "velocity.y": 0.25, "velocity.z": 0.3})
     np.testing.assert_array_equal(current.get("v_c"), [0.75, 0.25, 0.3])
     current.step(0.0, 0.5)
     np.testing.assert_array_equal(current.get("v_c"), [0.75, 0.25, 0.3])

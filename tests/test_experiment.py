@@ -3,7 +3,6 @@
 import pytest
 from conftest import EXPERIMENTS, merged
 
-import orchestrator
 from orchestrator.grid import Grid
 
 FAULTS = {
@@ -245,10 +244,8 @@ def test_a_swap_drops_parameters_but_not_those_that_are_set_for_the_new_fmu(orch
     assert "dropped its parameters K_p" in orch("check", write(table), "--swap", "controller=mfsosmc").out
 
 
-def test_a_swap_names_a_file_relative_to_where_the_user_is(orch, write, spiral, tmp_path):
-    orch("build", "pid")
-    built = orchestrator.build.target("pid")
+def test_a_swap_names_a_file_relative_to_where_the_user_is(orch, shipped, write, spiral, tmp_path):
     (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "mine.fmu").write_bytes(built.read_bytes())
+    (tmp_path / "here" / "mine.fmu").write_bytes(shipped["pid"].read_bytes())
     answer = orch("check", write(spiral), "--swap", "controller=mine.fmu", cwd=tmp_path / "here")
     assert answer.code == 0, answer.err

@@ -435,7 +435,9 @@ def test_a_folder_that_cannot_be_written_starts_nothing(orch, write, probe, tmp_
 
 
 def test_a_temporary_folder_without_room_starts_nothing(orch, write, spiral, tmp_path):
-    answer = orch("run", write(spiral), preexec_fn=limited(100 << 10))  # the libraries in the FMUs are larger
+    options = (write(spiral), "--packaging", "python")  # pythonfmu's libraries are larger than the limit
+    orch("check", *options)
+    answer = orch("run", *options, preexec_fn=limited(100 << 10))
     assert answer.code == 2
     assert "cannot be unpacked" in answer.err
     assert "File too large" in answer.err

@@ -277,7 +277,7 @@ def endless(shipped, write, spiral, tmp_path):
 
     def begin(*names):
         for name in names:
-            command = [ORCH, "run", str(write(table, f"{name}.toml")), "-q"]
+            command = [ORCH, "run", str(write(table, f"{name}.toml")), "-q", "--packaging", "python"]
             processes.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL))
         paths = [
             poll(lambda name=name: next(tmp_path.glob(f"results/{name}/*.h5"), None), process)

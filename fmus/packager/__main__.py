@@ -1,34 +1,58 @@
-"""`python -m packager`: reads one JSON request a line, {"source": file, "target": file}; answers each with a line.
+"""`python -m packager`: reads one JSON request a line, and answers each with a line, in another order.
 
-An answer is {"target": ..., "sources": {path: sha256}} or {"target": ..., "error": sentence}.
+A request is {"source": file, "native": file or null, "python": file or null, "compilers": [{"command", "folder"}]}:
+where to write the FMU of which packaging; equations become a native one where that is wanted, a plain Python model
+cannot.  An answer is {"source", "target", "sources": {path: sha256}, "plain": whether it is plain Python}, or
+{"source", "error": sentence, "compiler": whether the compiler is at fault}.
 """
 
 from __future__ import annotations
 
 import ast
+import concurrent.futures
 import contextlib
 import hashlib
 import importlib.util
 import json
+import os
 import pathlib
 import sys
 import traceback
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from uuv.model import Declared
+from uuv.model import Declared, Model, trace
 
-from . import python_fmu
+from . import native, python_fmu
 
 UUV = pathlib.Path(__file__).parent.parent / "uuv"
 
 
-def package(source: pathlib.Path, target: pathlib.Path) -> dict[str, Any]:
-    """Build one FMU; returns what it was made of."""
+def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Callable[[], dict[str, Any]]:
+    """Build one FMU; what is returned waits for the compilers, and gives the answer."""
+    source = pathlib.Path(request["source"])
     files = {source.name: source, **_imported(source)}
     files |= {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
     modules = {name: path.read_bytes() for name, path in sorted(files.items())}
-    python_fmu.build(source.stem, _model(source), modules, target)
-    return {"sources": {str(path): hashlib.sha256(modules[name]).hexdigest() for name, path in files.items()}}
+    model = _model(source)
+    equations = trace(model) if issubclass(model, Model) else None
+    target = (equations and request["native"]) or request["python"]
+    if target is None:
+        raise ValueError("a PythonModel runs in Python alone and has no native packaging")
+    wait = None
+    if target == request["native"]:
+        compilers = [native.Compiler(tuple(c["command"]), c["folder"]) for c in request["compilers"]]
+        wait = native.build(source.stem, model, equations, compilers, pathlib.Path(target), pool).result
+    else:
+        python_fmu.build(source.stem, model, equations, modules, pathlib.Path(target))
+    digests = {str(path): hashlib.sha256(modules[name]).hexdigest() for name, path in files.items()}
+
+    def answer() -> dict[str, Any]:
+        if wait is not None:
+            wait()
+        return {"target": target, "sources": digests, "plain": equations is None}
+
+    return answer
 
 
 def _imported(source: pathlib.Path) -> dict[str, pathlib.Path]:
@@ -94,18 +118,31 @@ def _reason(error: BaseException, source: pathlib.Path) -> str:
     return f"{where}{type(error).__name__}: {error}"
 
 
+@contextlib.contextmanager
+def _reporting(source: str) -> Iterator[dict[str, Any]]:
+    """What a model prints must not mix with the answers; whatever it raises is the answer."""
+    answer: dict[str, Any] = {"source": source}
+    with contextlib.redirect_stdout(sys.stderr):
+        try:
+            yield answer
+        except native.CompilerError as error:
+            answer |= {"error": str(error), "compiler": True}
+        except Exception as error:
+            answer |= {"error": _reason(error, pathlib.Path(source)), "compiler": False}
+
+
 def main() -> None:
-    answers = sys.stdout
-    for line in sys.stdin:
-        request = json.loads(line)
-        source, target = pathlib.Path(request["source"]), pathlib.Path(request["target"])
-        answer: dict[str, Any] = {"target": str(target)}
-        with contextlib.redirect_stdout(sys.stderr):  # what a model prints must not mix with the answers
-            try:
-                answer |= package(source, target)
-            except Exception as error:  # whatever the user's file raises is the answer
-                answer["error"] = _reason(error, source)
-        print(json.dumps(answer), file=answers, flush=True)
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+        waiting = []
+        for request in map(json.loads, sys.stdin):
+            with _reporting(request["source"]) as answer:
+                waiting.append((answer, package(request, pool)))  # compilers run while the next model is traced
+            if "error" in answer:
+                print(json.dumps(answer), flush=True)
+        for answer, wait in waiting:
+            with _reporting(answer["source"]) as late:
+                late |= wait()
+            print(json.dumps(late), flush=True)
 
 
 if __name__ == "__main__":

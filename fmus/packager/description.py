@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -15,9 +16,18 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 
 
 def model_description(
-    model: type[Declared], name: str, guid: str, tool: str, equations: Equations | None, capabilities: dict[str, bool]
+    model: type[Declared],
+    name: str,
+    guid: str,
+    tool: str,
+    equations: Equations | None,
+    capabilities: dict[str, bool],
+    sources: Sequence[str] = (),
 ) -> bytes:
-    """The XML file.  `equations`: None for a plain Python model, whose dependencies nobody knows: then all count."""
+    """The XML file.  `equations`: None for a plain Python model, whose dependencies nobody knows: then all count.
+
+    sources: the C files to compile.
+    """  # fmt: skip
     scalars = model.layout().scalars
     index = {scalar.name: i for i, scalar in enumerate(scalars, start=1)}
     root = ET.Element(
@@ -25,7 +35,11 @@ def model_description(
         generationTool=tool, variableNamingConvention="structured",
     )  # fmt: skip
     options = {option: str(value).lower() for option, value in capabilities.items()}
-    ET.SubElement(root, "CoSimulation", modelIdentifier=name, **options)
+    slave = ET.SubElement(root, "CoSimulation", modelIdentifier=name, **options)
+    if sources:
+        files = ET.SubElement(slave, "SourceFiles")
+        for source in sources:
+            ET.SubElement(files, "File", name=source)
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in sorted({s.unit for s in scalars if s.type is float}):
         attributes = {key: f"{value:.17g}" for key, value in base_unit(unit).items()}

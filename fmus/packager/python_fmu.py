@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import pathlib
 from collections.abc import Mapping
 
-from uuv.model import Declared, Model, trace
+from uuv.model import Declared, Equations
 
-from .archive import write_archive
+from .archive import digest_of, write_archive
 from .description import model_description
 
 HERE = pathlib.Path(__file__).parent
@@ -36,15 +35,16 @@ class {identifier}(Fmi2Slave):
 '''
 
 
-def build(name: str, model: type[Declared], modules: Mapping[str, bytes], target: pathlib.Path) -> None:
+def build(
+    name: str, model: type[Declared], equations: Equations | None, modules: Mapping[str, bytes], target: pathlib.Path
+) -> None:
     """Write the FMU.  modules: {path inside the bundle: source}, the model's own as `name`.py; same input, same bytes.
 
     Raises RuntimeError where pythonfmu is not installed with its libraries.
     """
-    equations = trace(model) if issubclass(model, Model) else None
     binaries = _binaries(name)
     bundle = {**modules, "__init__.py": (HERE / "bundle.py").read_bytes()}
-    digest = _digest(bundle | binaries)
+    digest = digest_of(bundle | binaries)
     package = f"{name}_{digest[:12]}"
     entry = ENTRY.format(package=package, identifier=name, module=name, model=model.__name__)
     tool = f"orch with pythonfmu {importlib.metadata.version('pythonfmu')}"
@@ -66,10 +66,3 @@ def _binaries(name: str) -> dict[str, bytes]:
     if not found:
         raise RuntimeError(f"no libraries in {folder}; install pythonfmu again")
     return {f"binaries/{path.parent.name}/{name}{path.suffix}": path.read_bytes() for path in found}
-
-
-def _digest(files: Mapping[str, bytes]) -> str:
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(f"{path}\0{len(files[path])}\0".encode() + files[path])
-    return digest.hexdigest()

@@ -31,7 +31,7 @@ class Record:
 
 def run_cases(cases: Sequence[Case], results: str | Path, tell: Tell) -> list[Record]:
     """Run what the store lacks, in parallel.  Returns the records in the order of `cases`."""
-    build.build(_models(), lambda name: tell(f"building {name}"))
+    build.build(_models(), tell)
     plans = [case.plan() for case in cases]
     store = Store(results)
     missing = {p.digest: (c, p) for c, p in zip(cases, plans, strict=True) if _completed(store, p) is None}

@@ -1,0 +1,39 @@
+"""Commands that look at records."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from ..options import json_option, results_option
+
+
+@click.command()
+@click.argument("run", metavar="RUN")
+@results_option
+@json_option
+def show(run: str, results: str, as_json: bool) -> None:
+    """Show a record: how it ended, what made it, metrics, warnings.  RUN: an id, a prefix, a file, or "last"."""
+    from .. import show as shown
+    from ..store import open_run
+
+    with open_run(run, results) as record:
+        click.echo(json.dumps(shown.record_as_json(record)) if as_json else shown.record(record))
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--output", "-o", metavar="FILE", help="PNG, PDF or SVG; default: beside the record, as .png")
+@click.option("--signals", metavar="GLOB", multiple=True, help="Plot these signals over time instead of the overview.")
+@results_option
+def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], results: str) -> None:
+    """Draw runs: tracks, positions, errors, thrusters.  RUN: an id, a prefix of one, a file, or "last"."""
+    from .. import plots, show
+    from ..store import Store, open_run
+
+    store = Store(results)
+    records = [open_run(store.find(name)) for name in runs]
+    target = Path(output) if output else records[0].path.with_suffix(".png")
+    click.echo(show.short(plots.draw(records, target, signals)))

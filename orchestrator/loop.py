@@ -1,0 +1,262 @@
+"""The inner loop, twice: compiled, and in Python where that one is not built.  Both give the same rows, bit for bit.
+
+What acts when is told in `master`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from .chatter import Alternations
+from .member import AT_ONCE, PERIOD_END, TICK_END, Member, MemberFailed, failing, function_name
+from .system import System
+from .timing import EVERY, Timing
+
+NUMBERS = ("real", "integer", "boolean")
+NOT_FINITE = -1  # beside the statuses of FMI
+
+
+@dataclass
+class Block:
+    """Consecutive rows of the record.  `ticks`: (N,) of the rows; `values`: {kind: (N, signals of that kind)}."""
+
+    ticks: list[int]
+    values: dict[str, Any]
+
+
+class Interrupt:
+    """A flag that both loops look at in every step."""
+
+    def __init__(self) -> None:
+        self.flag = np.zeros(1, dtype=np.int32)
+
+    def set(self) -> None:
+        self.flag[0] = 1
+
+    def is_set(self) -> bool:
+        return bool(self.flag[0])
+
+
+class Loop(Protocol):
+    """Steps a system.  `ticks`: how many steps are done; `name`: how a record tells the loops apart."""
+
+    name: str
+    ticks: int
+
+    def advance(self, last: int, patience: float) -> None:
+        """Step until tick `last`, for about `patience` seconds, or until interrupted.
+
+        Raises MemberFailed; `ticks` then names the start of the failed step.
+        """
+
+    def take(self) -> list[Block]:
+        """The rows since the last call."""
+
+
+def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
+    """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
+    compiled = extension()
+    strings = system.computed["string"] < len(system.tables["string"]) or len(system.recorded["string"])
+    kind = InterpretedLoop if compiled is None or strings else CompiledLoop
+    return kind(system, alternations, timing, interrupt)
+
+
+def extension() -> Any:
+    """The compiled module, or None."""
+    if os.environ.get("ORCH_LOOP") == "python":
+        return None
+    try:
+        from . import _loop
+    except ImportError:
+        return None
+    return _loop
+
+
+class InterpretedLoop:
+    name = "python"
+
+    def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
+        self.ticks = 0
+        self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
+        self._members = [
+            (number, member, member.part.period, _sum_of_squares(member, system))
+            for number, member in enumerate(system.members)
+        ]
+        self._ending = [(m, m.part.period) for m in system.members if m.publish[TICK_END] or m.publish[PERIOD_END]]
+        self._checked = system.tables["real"][: system.computed["real"]]
+        self._rows = _Rows(system)
+        self.take = self._rows.take
+
+    def advance(self, last: int, patience: float) -> None:
+        grid, stride = self._system.plan.experiment.grid, self._system.plan.stride
+        clock, flag, checked = time.perf_counter, self._interrupt.flag, self._checked
+        deadline = clock() + patience
+        for k in range(self.ticks, last):
+            timed = k % EVERY == 0
+            if flag[0] or (timed and clock() > deadline):
+                return
+            t = ctypes.c_double(grid.time(k))
+            for number, member, period, sum_of_squares in self._members:
+                if period > 1 and k % period:
+                    continue
+                marks = [clock()] if timed else None
+                for gather in member.gathers:
+                    gather()
+                for set_ in member.sets:
+                    if (status := set_()) != 0:
+                        _check(member, status)
+                if marks:
+                    marks.append(clock())
+                if (status := member.step(t)) != 0:
+                    _check(member, status)
+                if marks:
+                    marks.append(clock())
+                for get in member.gets:
+                    if (status := get()) != 0:
+                        _check(member, status)
+                if sum_of_squares is not None and not math.isfinite(sum_of_squares()):
+                    _check_finite(member)
+                for publish in member.publish[AT_ONCE]:
+                    publish()
+                if marks:
+                    self._timing.add(number, [*marks, clock()])
+            for member, period in self._ending:
+                if k % period == 0:
+                    for publish in member.publish[TICK_END]:
+                        publish()
+                if (k + 1) % period == 0:
+                    for publish in member.publish[PERIOD_END]:
+                        publish()
+            if not math.isfinite(checked.dot(checked)):
+                for member in self._system.members:
+                    _check_finite(member)
+            self.ticks = k + 1
+            self._alternations.look(self.ticks)
+            if self.ticks % stride == 0:
+                self._rows.add(self.ticks)
+
+
+class CompiledLoop:
+    """Drives `_loop.c`."""
+
+    name = "compiled"
+
+    def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
+        self.ticks = 0
+        self._system = system
+        self._rows = _Rows(system)
+        self.take = self._rows.take
+        # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
+        holds_lock = any(member.part.fmu.packaging == "python" for member in system.members)
+        self._loop = extension().Loop(
+            [_program(member) for member in system.members],
+            tuple(system.tables[kind] for kind in NUMBERS),
+            tuple(system.recorded[kind] for kind in NUMBERS),
+            alternations.arrays(),
+            (timing.seconds, timing.samples, EVERY),
+            interrupt.flag,
+            system.plan.stride,
+            holds_lock,
+        )
+
+    def advance(self, last: int, patience: float) -> None:
+        first, stride = self.ticks, self._system.plan.stride
+        ticks = range(first - first % stride + stride, last + 1, stride)
+        rows = self._rows.empty(len(ticks))
+        times = self._system.plan.experiment.grid.times(first, last)
+        self.ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()))
+        self._rows.extend(ticks[: self.ticks // stride - first // stride], rows)
+        if failed >= 0:
+            member = self._system.members[failed]
+            if status == NOT_FINITE:
+                raise MemberFailed(member, member.not_finite())
+            _check(member, status)
+
+
+def _program(member: Member) -> tuple[Any, ...]:
+    """A component as `_loop.c` takes it."""
+
+    def number(kind: str) -> int:
+        return NUMBERS.index(kind)
+
+    sets = [
+        (number(i.kind), member.address(function_name("Set", i.kind)), i.references, i.buffer, i.sources)
+        for i in member.inputs
+    ]
+    gets = [
+        (number(o.kind), member.address(function_name("Get", o.kind)), o.references, o.buffer, None)
+        for o in member.outputs
+    ]
+    published = tuple(
+        [(number(p.kind), p.buffer, p.chosen, p.targets) for p in member.publications if p.moment == moment]
+        for moment in (AT_ONCE, TICK_END, PERIOD_END)
+    )
+    step = member.address("fmi2DoStep")
+    return member.instance.component, step, member.h, member.part.period, sets, gets, published
+
+
+class _Rows:
+    """Gathers rows until somebody takes them; begins with the initial values."""
+
+    def __init__(self, system: System):
+        self._system = system
+        self._kinds = [kind for kind in system.recorded if len(system.recorded[kind])]
+        self._blocks: list[Block] = []
+        self._clear()
+        self.add(0)
+
+    def _clear(self) -> None:
+        self._ticks: list[int] = []
+        self._values: dict[str, list[Any]] = {kind: [] for kind in self._kinds}
+
+    def add(self, tick: int) -> None:
+        """A row of the present values."""
+        self._ticks.append(tick)
+        for kind, rows in self._values.items():
+            rows.append(self._system.tables[kind][self._system.recorded[kind]])
+
+    def empty(self, n: int) -> dict[str, Any]:
+        """Room for n rows of numbers."""
+        recorded, tables = self._system.recorded, self._system.tables
+        return {kind: np.empty((n, len(recorded[kind])), tables[kind].dtype) for kind in NUMBERS}
+
+    def extend(self, ticks: Sequence[int], rows: Mapping[str, Any]) -> None:
+        """The first of `rows`, one for each of `ticks`."""
+        if ticks:
+            self._flush()
+            self._blocks.append(Block(list(ticks), {kind: rows[kind][: len(ticks)] for kind in self._kinds}))
+
+    def take(self) -> list[Block]:
+        self._flush()
+        blocks, self._blocks = self._blocks, []
+        return blocks
+
+    def _flush(self) -> None:
+        if self._ticks:
+            self._blocks.append(Block(self._ticks, {kind: np.array(rows) for kind, rows in self._values.items()}))
+            self._clear()
+
+
+def _sum_of_squares(member: Member, system: System) -> Callable[[], Any] | None:
+    """Of real outputs that do not lie in the table yet when the component has stepped: not finite where one is not."""
+    staged = len(member.values) and not np.shares_memory(member.values, system.tables["real"])
+    return partial(member.values.dot, member.values) if staged else None
+
+
+def _check(member: Member, status: int) -> None:
+    with failing(member):
+        member.instance.check(status)
+
+
+def _check_finite(member: Member) -> None:
+    if words := member.not_finite():
+        raise MemberFailed(member, words)

@@ -1,0 +1,81 @@
+"""What several commands share: their options, and the way from those to a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+INTERRUPTED = 130  # exit code
+
+
+def results_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--results", metavar="DIR", default="results", show_default=True, help="The store.")(command)
+
+
+def json_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else.")(command)
+
+
+def packaging_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    choice = click.Choice(["auto", "native", "python"])
+    return click.option(
+        "--packaging",
+        type=choice,
+        default="auto",
+        help="Of models; auto is native where there is a C compiler.",
+    )(command)
+
+
+def changes_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--set and --swap."""
+    set_ = click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Change a dotted key of the file.")
+    swap = click.option("--swap", "swaps", metavar="COMPONENT=FMU", multiple=True, help="Put another FMU in its place.")
+    return set_(swap(command))
+
+
+def prepared(
+    experiment: str,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    told: Callable[[str], None],
+    packaging: str = "auto",
+) -> Any:
+    from .experiment import load
+    from .wiring import prepare
+
+    loaded = load(experiment, _pairs("--set", sets), _swaps(swaps))
+    return prepare(loaded, told, packaging)
+
+
+def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
+    from .experiment import parse_value
+
+    pairs = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise click.UsageError(f"{option} {text}: write {option} KEY=VALUE, such as {option} master.stop_time=10")
+        pairs[key.strip()] = parse_value(value.strip())
+    return pairs
+
+
+def _swaps(texts: tuple[str, ...]) -> Mapping[str, str]:
+    swaps = {}
+    for text in texts:
+        component, equals, fmu = text.partition("=")
+        if not equals:
+            raise click.UsageError(f"--swap {text}: write --swap COMPONENT=FMU, such as --swap controller=pid")
+        # On the command line a path is relative to where the user is.
+        swaps[component] = str(Path(fmu).resolve()) if fmu.endswith(".fmu") and Path(fmu).exists() else fmu
+    return swaps
+
+
+def tell(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def silent(text: str) -> None:
+    """For --quiet and --json."""
