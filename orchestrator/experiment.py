@@ -60,6 +60,7 @@ class Experiment:
     sweep: Mapping[str, Any]
     problems: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()  # what --swap dropped
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # {"set": ..., "swap": ...} laid over it
 
     @property
     def grid(self) -> Grid:
@@ -75,17 +76,28 @@ def load(path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[s
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
     except FileNotFoundError:
         raise ExperimentError(path, [Problem("", _no_such_file(path))]) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (OSError, UnicodeDecodeError) as error:
+        raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
+    return parse(path, text, set, swap)
+
+
+def parse(
+    path: Path, text: str, set: Mapping[str, Any] | None = None, swap: Mapping[str, str] | None = None
+) -> Experiment:
+    """`load` for the text of a file that lies, or lay, at `path`."""
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
     reader = _Reader()
+    changes = {"set": {key: _plain(value) for key, value in (set or {}).items()}, "swap": dict(swap or {})}
     # The swap first: it drops parameters of the FMU that leaves, not those that are set for the one that comes.
-    notes = [reader.swap(table, name, fmu) for name, fmu in (swap or {}).items()]
-    for key, value in (set or {}).items():
-        reader.overlay(table, key, _plain(value))
-    return reader.experiment(path, text, table, tuple(note for note in notes if note), tuple(swap or ()))
+    notes = [reader.swap(table, name, fmu) for name, fmu in changes["swap"].items()]
+    for key, value in changes["set"].items():
+        reader.overlay(table, key, copy.deepcopy(value))
+    return reader.experiment(path, text, table, tuple(note for note in notes if note), changes)
 
 
 def parse_value(text: str) -> Any:
@@ -142,19 +154,20 @@ class _Reader:
         return note + (f"; dropped its parameters {', '.join(dropped)}" if dropped else "")
 
     def experiment(
-        self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...], swapped: tuple[str, ...]
+        self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...],
+        changes: Mapping[str, Mapping[str, Any]],
     ) -> Experiment:
         sections = ("title", "master", "components", "connections", "record", "metrics", "mavlink", "sweep")
         self.known(table, sections, "")
         master = self.master(self.table(table, "master"))
-        components = self.components(self.table(table, "components"), master, swapped)
+        components = self.components(self.table(table, "components"), master, tuple(changes["swap"]))
         if not components:
             self.problem("components", "the experiment has none; add [components.NAME] with an fmu")
         return Experiment(
             path, text, self.typed(table, "title", "", str, path.stem), master, components,
             self.connections(self.table(table, "connections")), self.record(self.table(table, "record"), master),
             self.tables(table, "metrics"), self.table(table, "mavlink"), self.table(table, "sweep"),
-            tuple(self.problems), notes,
+            tuple(self.problems), notes, changes,
         )  # fmt: skip
 
     def master(self, table: dict[str, Any]) -> Master:

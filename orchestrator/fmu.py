@@ -15,6 +15,7 @@ from typing import Any
 
 from .errors import FmuError
 
+DESCRIPTION = "modelDescription.xml"
 MAX_SIZE = 4 << 30  # bytes of all files of an archive together
 MAX_RATIO = 200  # unpacked to packed
 # What zipfile raises at damaged, encrypted and oddly compressed members.
@@ -71,6 +72,7 @@ class Fmu:
     variables: Mapping[str, Variable]
     units: Mapping[str, Any]  # {unit: exponents, factor, offset}
     python_modules: Mapping[str, str]  # {top-level module a Python FMU brings: digest}
+    description_xml: str  # modelDescription.xml
 
     @cached_property
     def vectors(self) -> dict[str, dict[str, Variable]]:
@@ -117,12 +119,13 @@ def read(path: Path) -> Fmu:
         with zipfile.ZipFile(path) as archive:
             names = _checked_names(path, archive)
             modules = dict(_python_modules(archive, names))
+            text = archive.read(DESCRIPTION).decode(errors="replace") if DESCRIPTION in names else ""
     except zipfile.BadZipFile:
         raise FmuError(f"{path} is no FMU: not a zip file") from None
     except DAMAGED as error:
         raise FmuError(f"{path} is damaged: {error}") from None
-    if "modelDescription.xml" not in names:
-        raise FmuError(f"{path} is no FMU: it has no modelDescription.xml")
+    if DESCRIPTION not in names:
+        raise FmuError(f"{path} is no FMU: it has no {DESCRIPTION}")
     description = _description(path)
     version = str(description.fmiVersion)
     if not version.startswith("2."):
@@ -138,7 +141,7 @@ def read(path: Path) -> Fmu:
         bool(slave.canBeInstantiatedOnlyOncePerProcess),
         {name: bool(getattr(slave, name)) for name in ("canGetAndSetFMUstate", "canSerializeFMUstate",
                                                         "providesDirectionalDerivative", "needsExecutionTool")},
-        dict(_variables(description)), dict(_units(description)), modules,
+        dict(_variables(description)), dict(_units(description)), modules, text,
     )  # fmt: skip
 
 

@@ -203,6 +203,8 @@ def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
         "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
         "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
         "metrics": "{}", "warnings": "[]", "timing": "{}",
+        "experiment_path": str(experiment.path.resolve()), "changes": json.dumps(experiment.changes),
+        "model_descriptions": json.dumps({part.fmu.sha256: part.fmu.description_xml for part in plan.parts}),
     }  # fmt: skip
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed

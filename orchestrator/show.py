@@ -92,6 +92,7 @@ def _share(part: float, whole: float) -> str:
 
 def record_as_json(run: Run) -> dict[str, Any]:
     facts = {name: value for name, value in run.attributes.items() if value == value}  # JSON has no nan
+    del facts["model_descriptions"]  # 100 kB
     return {**facts, "status": run.status, "file": str(run.path), "rows": len(run.time), "signals": run.signals}
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 FORMAT = "orch-run"
 FORMAT_VERSION = 1
-JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command")  # attributes in JSON
+# Attributes in JSON.
+JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command", "changes", "model_descriptions")
 ID_LENGTH = 10
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
 
@@ -109,6 +110,10 @@ class Run:
     def units(self, name: str) -> str:
         component, _, variable = name.partition(".")
         return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
+
+    def fact(self, component: str, name: str) -> Any:
+        """An attribute of a component, such as fmu_sha256 or packaging."""
+        return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
 
     @property
     def attributes(self) -> dict[str, Any]:
