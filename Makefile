@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all lint bench clean
+.PHONY: run test test-all fuzz lint bench clean
 
 run: $(VENV)/.installed
 	$(BIN)/orch run experiments/gripping_currents.toml
@@ -13,6 +13,9 @@ test: $(VENV)/.installed-dev
 
 test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto
+
+fuzz: $(VENV)/.installed-dev
+	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +62,38 @@ def draw(runs: Sequence[Run], target: Path, signals: Sequence[str] = ()) -> Path
         except OSError as error:
             raise StoreError(f"{target} cannot be written: {error.strerror}") from None
     return target
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """time: s, of the last row; running: whether a run goes on."""
+
+    time: float
+    running: bool
+
+
+def draw_files(paths: Sequence[Path], target: Path, signals: Sequence[str] = ()) -> Drawn:
+    """`draw` records as they are now."""
+    from .store import Run
+
+    runs = [Run(path) for path in paths]
+    try:
+        running = any(run.status == "running" for run in runs)
+        draw(runs, target, signals)
+        return Drawn(max(float(run.time[-1]) for run in runs), running)
+    finally:
+        for run in runs:
+            run.close()
+
+
+def following(paths: Sequence[Path], target: Path, signals: Sequence[str] = (), every: float = 1.0) -> Iterator[Drawn]:
+    """`draw_files` again and again, `every` so many seconds, until the runs have ended."""
+    while True:
+        drawn = draw_files(paths, target, signals)
+        yield drawn
+        if not drawn.running:
+            return
+        time.sleep(every)
 
 
 def _figure(runs: Sequence[Run], signals: Sequence[str]) -> Figure:

@@ -27,13 +27,15 @@ def show(run: str, results: str, as_json: bool) -> None:
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 @click.option("--output", "-o", metavar="FILE", help="PNG, PDF or SVG; default: beside the record, as .png")
 @click.option("--signals", metavar="GLOB", multiple=True, help="Plot these signals over time instead of the overview.")
+@click.option("--follow", is_flag=True, help="Draw again every second until the runs have ended.")
 @results_option
-def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], results: str) -> None:
+def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], follow: bool, results: str) -> None:
     """Draw runs: tracks, positions, errors, thrusters.  RUN: an id, a prefix of one, a file, or "last"."""
     from .. import plots, show
-    from ..store import Store, open_run
+    from ..store import Store
 
     store = Store(results)
-    records = [open_run(store.find(name)) for name in runs]
-    target = Path(output) if output else records[0].path.with_suffix(".png")
-    click.echo(show.short(plots.draw(records, target, signals)))
+    paths = [store.find(name) for name in runs]
+    target = Path(output) if output else paths[0].with_suffix(".png")
+    for drawn in plots.following(paths, target, signals) if follow else [plots.draw_files(paths, target, signals)]:
+        click.echo(f"{show.short(target)}: t = {drawn.time:.6g} s" if drawn.running else show.short(target))
