@@ -111,7 +111,7 @@ def build(
     sources = dict(map(_source, names))
     compiler = None if packaging == "python" else compilers.find()
     if packaging == "native" and compiler is None:
-        raise BuildError(dict.fromkeys(sources, f"no C compiler was found; for native FMUs {compilers.HOW}"))
+        raise BuildError(dict.fromkeys(sources, f"{compilers.none()}; for native FMUs {compilers.HOW}"))
     built, stale = {}, {}
     for name, source in sources.items():
         found = None if force and source is not None else _ready(name, source, packaging, compiler)
@@ -122,7 +122,7 @@ def build(
     if stale:
         if packaging == "auto" and compiler is None:
             _expect_python_fmus(stale)
-            told(f"no C compiler was found, so the models become Python FMUs; for faster ones {compilers.HOW}")
+            told(f"{compilers.none()}, so the models become Python FMUs; for faster ones {compilers.HOW}")
         for name in stale:
             told(f"building {name}")
         try:
@@ -135,7 +135,10 @@ def build(
 
 def cross_build(names: Iterable[str], targets: Sequence[str], told: Callable[[str], None]) -> dict[str, Path]:
     """Build FMUs with libraries for other platforms.  Raises OrchError."""
-    sources = {name: source for name, source in map(_source, names) if source is not None}
+    found = dict(map(_source, names))
+    sources = {name: source for name, source in found.items() if source is not None}
+    if gone := found.keys() - sources.keys():
+        raise OrchError(f"the source of {', '.join(sorted(gone))} is gone: give the model's .py file")
     for name in sources:
         told(f"building {name} for {' and '.join(targets)}")
     folder = build_folder() / "+".join(sorted(targets))
@@ -183,7 +186,7 @@ def _expect_python_fmus(names: Iterable[str]) -> None:
     """Raises BuildError where pythonfmu has no library for this machine."""
     if (platform.system(), platform.machine()) not in PYTHON_PLATFORMS:
         here = f"{platform.system()} {platform.machine()}"
-        sentence = f"no C compiler was found, and Python FMUs cannot run on {here}: {compilers.HOW}"
+        sentence = f"{compilers.none()}, and Python FMUs cannot run on {here}: {compilers.HOW}"
         raise BuildError(dict.fromkeys(names, sentence))
 
 

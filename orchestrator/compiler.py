@@ -55,6 +55,12 @@ def find() -> Compiler | None:
     return Compiler((*_zig(), "-mcpu=baseline"), folder) if find_spec("ziglang") else None
 
 
+def none() -> str:
+    """Says that there is none, and where the environment is the reason."""
+    named = os.environ.get("CC", "").strip()
+    return "no C compiler was found" + (f" (CC is {named!r})" if named else "")
+
+
 def of_targets(targets: Sequence[str]) -> list[Compiler]:
     """Compilers for other platforms.  Raises OrchError where there is none."""
     for target in targets:

@@ -12,7 +12,7 @@ from conftest import needs_compiler
 from orchestrator import build
 from orchestrator.errors import FmuError
 from orchestrator.fmu import read
-from orchestrator.instance import CallFailed, Instance
+from orchestrator.instance import CallFailed, Instance, Library
 
 FMUS = sorted(build.shipped())
 WITH_INPUTS = [name for name in FMUS if "reference" not in name and "current" not in name]
@@ -36,7 +36,7 @@ class Calls:
     """One instance.  A call that fails raises CallFailed with what the FMU has said."""
 
     def __init__(self, fmu, folder):
-        self.instance, self.variables = Instance("one", fmu, folder), fmu.variables
+        self.instance, self.variables = Instance("one", Library(fmu, folder)), fmu.variables
 
     def __getattr__(self, call):
         return lambda *arguments: self.instance.call(call, *arguments)
@@ -249,7 +249,7 @@ def test_a_call_that_cannot_be_answered_says_why(calls, words):
 def test_another_guid_is_refused_with_both(native, folders):
     fmu = read(native["pid"])
     with pytest.raises(FmuError, match=rf"the GUID old is of another build of the model; this one's is {fmu.guid}"):
-        Instance("one", dataclasses.replace(fmu, guid="old"), folders["pid"])
+        Instance("one", Library(dataclasses.replace(fmu, guid="old"), folders["pid"]))
 
 
 # --- Derivatives ------------------------------------------------------------------------------------------------------
