@@ -38,14 +38,21 @@ enum { FMI_WARNING = 1 };
 typedef int Exchange(void *component, const uint32_t *references, size_t n, void *values);
 typedef int DoStep(void *component, double t, double h, int no_going_back);
 
-/* One getter or setter call; `sources` are places in the table that a setter's values come from. */
+/* Values that follow one another in the table as they do in a setter's buffer. */
+typedef struct {
+    size_t source, target, n;
+} Run;
+
+/* One getter or setter call. */
 typedef struct {
     int kind;
     Exchange *function;
     const uint32_t *references;
     size_t n;
     void *values;
-    const Py_ssize_t *sources;
+    Run *runs; /* of a setter: where its values come from */
+    size_t n_runs;
+    int staged; /* real values that do not lie in the table: they are checked at once, the table after each tick */
 } Call;
 
 typedef struct {
@@ -82,6 +89,7 @@ typedef struct {
     const Member **late; /* those that publish something at the end of a tick or period */
     size_t n_members, n_late;
     void *tables[KINDS];
+    size_t n_reals; /* of the table, computed by components */
     const Py_ssize_t *recorded[KINDS];
     size_t n_recorded[KINDS];
     Alternations alternations;
@@ -95,11 +103,18 @@ typedef struct {
 
 /* --- The loop ------------------------------------------------------------------------------------------------------- */
 
+static size_t size_of(int kind) { return kind == REAL ? sizeof(double) : sizeof(int32_t); }
+
 static void gather(void *to, const void *table, const Py_ssize_t *sources, size_t n, int kind) {
     if (kind == REAL)
         for (size_t i = 0; i < n; i++) ((double *)to)[i] = ((const double *)table)[sources[i]];
     else
         for (size_t i = 0; i < n; i++) ((int32_t *)to)[i] = ((const int32_t *)table)[sources[i]];
+}
+
+static inline void copy(const Call *c, const Run *run, const void *table) {
+    size_t size = size_of(c->kind);
+    memcpy((char *)c->values + run->target * size, (const char *)table + run->source * size, run->n * size);
 }
 
 static void publish(void *table, const Publication *p) {
@@ -134,7 +149,7 @@ static int step(const Loop *self, const Member *m, double t, double *marks) {
     if (marks) marks[0] = now();
     for (size_t i = 0; i < m->n_sets; i++) {
         const Call *c = &m->sets[i];
-        gather(c->values, self->tables[c->kind], c->sources, c->n, c->kind);
+        for (size_t j = 0; j < c->n_runs; j++) copy(c, &c->runs[j], self->tables[c->kind]);
     }
     for (size_t i = 0; i < m->n_sets; i++) {
         const Call *c = &m->sets[i];
@@ -149,7 +164,7 @@ static int step(const Loop *self, const Member *m, double t, double *marks) {
         const Call *c = &m->gets[i];
         status = c->function(m->component, c->references, c->n, c->values);
         if (status > FMI_WARNING || status < 0) return status;
-        if (c->kind == REAL && !all_finite(c->values, c->n)) return NOT_FINITE;
+        if (c->staged && !all_finite(c->values, c->n)) return NOT_FINITE;
     }
     publish_all(self, m, AT_ONCE);
     if (marks) marks[3] = now();
@@ -182,6 +197,16 @@ static void look(const Alternations *a, const double *table, Py_ssize_t ticks) {
         for (size_t i = 0; i < a->n; i++) a->before[i] = a->middle ? table[i] - a->middle[i] : table[i];
 }
 
+/* The first member that has given a value that is not finite. */
+static Py_ssize_t not_finite(const Loop *self) {
+    for (size_t i = 0; i < self->n_members; i++)
+        for (size_t j = 0; j < self->members[i].n_gets; j++) {
+            const Call *c = &self->members[i].gets[j];
+            if (c->kind == REAL && !all_finite(c->values, c->n)) return (Py_ssize_t)i;
+        }
+    return 0;
+}
+
 /* Steps from tick `first` until `last`.  Returns the ticks done; *failed: the member that failed, or -1. */
 static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, const double *times, double patience,
                           void *rows[KINDS], Py_ssize_t *failed, int *status) {
@@ -203,6 +228,11 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             }
             if (timed) add_times(self, i, marks);
         }
+        if (!all_finite(self->tables[REAL], self->n_reals)) {
+            *failed = not_finite(self);
+            *status = NOT_FINITE;
+            return k;
+        }
         for (size_t i = 0; i < self->n_late; i++) {
             const Member *m = self->late[i];
             if (m->period == 1 || k % m->period == 0) publish_all(self, m, TICK_END);
@@ -211,7 +241,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         look(&self->alternations, self->tables[REAL], k + 1);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
-                size_t n = self->n_recorded[kind], size = kind == REAL ? sizeof(double) : sizeof(int32_t);
+                size_t n = self->n_recorded[kind], size = size_of(kind);
                 gather((char *)rows[kind] + row * n * size, self->tables[kind], self->recorded[kind], n, kind);
             }
             row++;
@@ -237,7 +267,16 @@ static void *memory_of(PyObject *array, size_t item, size_t *n) {
     return fits ? memory : NULL;
 }
 
-static size_t size_of(int kind) { return kind == REAL ? sizeof(double) : sizeof(int32_t); }
+static int find_runs(Call *c, PyObject *array) {
+    const Py_ssize_t *sources = memory_of(array, sizeof(Py_ssize_t), NULL);
+    if (!sources) return -1;
+    c->runs = calloc(c->n + 1, sizeof *c->runs);
+    if (!c->runs) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < c->n; i++)
+        if (i && sources[i] == sources[i - 1] + 1) c->runs[c->n_runs - 1].n++;
+        else c->runs[c->n_runs++] = (Run){(size_t)sources[i], i, 1};
+    return 0;
+}
 
 /* {(kind, address, references, values, sources or None)} */
 static int parse_calls(PyObject *list, Call **calls, size_t *n) {
@@ -253,7 +292,7 @@ static int parse_calls(PyObject *list, Call **calls, size_t *n) {
         c->function = (Exchange *)PyLong_AsVoidPtr(address);
         if (!(c->references = memory_of(references, sizeof(uint32_t), &c->n))) return -1;
         if (!(c->values = memory_of(values, size_of(c->kind), NULL))) return -1;
-        if (sources != Py_None && !(c->sources = memory_of(sources, sizeof(Py_ssize_t), NULL))) return -1;
+        if (sources != Py_None && find_runs(c, sources) < 0) return -1;
         if (PyErr_Occurred()) return -1;
     }
     return 0;
@@ -309,6 +348,7 @@ static int parse_alternations(PyObject *tuple, Alternations *a) {
 static void loop_dealloc(Loop *self) {
     PyTypeObject *type = Py_TYPE((PyObject *)self);
     for (size_t i = 0; self->members && i < self->n_members; i++) {
+        for (size_t j = 0; self->members[i].sets && j < self->members[i].n_sets; j++) free(self->members[i].sets[j].runs);
         free(self->members[i].sets);
         free(self->members[i].gets);
         for (int moment = 0; moment < MOMENTS; moment++) free(self->members[i].published[moment]);
@@ -318,6 +358,18 @@ static void loop_dealloc(Loop *self) {
     Py_XDECREF(self->owners);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
+}
+
+/* Values that lie in the table as the setter wants them need no copy. */
+static void use_in_place(const Loop *self, Call *c) {
+    if (c->n_runs != 1) return;
+    c->values = (char *)self->tables[c->kind] + c->runs[0].source * size_of(c->kind);
+    c->n_runs = 0;
+}
+
+static int is_staged(const Loop *self, const Call *c) {
+    const double *table = self->tables[REAL], *values = c->values;
+    return values < table || values >= table + self->n_reals;
 }
 
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
@@ -335,6 +387,7 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
         if (!self->recorded[kind]) return -1;
     }
     if (parse_alternations(alternations, &self->alternations) < 0) return -1;
+    self->n_reals = self->alternations.n;
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
@@ -345,6 +398,8 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
         self->n_members++;
         Member *m = &self->members[i];
         if (parse_member(PyList_GetItem(members, i), m) < 0) return -1;
+        for (size_t j = 0; j < m->n_sets; j++) use_in_place(self, &m->sets[j]);
+        for (size_t j = 0; j < m->n_gets; j++) m->gets[j].staged = m->gets[j].kind == REAL && is_staged(self, &m->gets[j]);
         if (m->n_published[TICK_END] || m->n_published[PERIOD_END]) self->late[self->n_late++] = m;
     }
     self->overhead = 1.0;

@@ -19,7 +19,7 @@ from .system import System
 SHARE = 0.5  # of its component's steps, above which a signal is reported
 FEWEST_STEPS = 20  # below that, alternating says nothing
 FEWEST_PAIRS = 1000  # of consecutive values that a long run is judged by
-SPARSE = 16  # ticks from pair to pair of a long run, at least
+SPARSEST = 100  # ticks from pair to pair of a long run
 NOISE = 1e-9  # SI; smaller amplitudes are rounding
 SMALL = 1e-2  # of the largest value of its vector; smaller amplitudes do no harm
 
@@ -105,6 +105,5 @@ class Alternations:
 
 def _stride(periods: Sequence[int], steps: int) -> int:
     """How many ticks lie between two pairs: few enough to see each component's steps often, and alike."""
-    if steps < FEWEST_PAIRS * SPARSE * max(periods):
-        return 1
-    return next(n for n in itertools.count(SPARSE) if all(math.gcd(n, period) == 1 for period in periods))
+    least = min(SPARSEST, steps // (FEWEST_PAIRS * max(periods)))
+    return next(n for n in itertools.count(max(1, least)) if all(math.gcd(n, period) == 1 for period in periods))

@@ -88,14 +88,12 @@ class Recorder:
         first, last = self._rows, self._rows + len(ticks)
         with self._room(self._size(last, blocks)):
             for kind, datasets in self._datasets.items():
-                values = np.concatenate([block.values[kind] for block in blocks])
-                for column, dataset in enumerate(datasets):
-                    dataset.resize((last,))
-                    dataset[first:last] = values[:, column]
+                rows = np.concatenate([block.values[kind] for block in blocks])
+                for dataset, values in zip(datasets, np.ascontiguousarray(rows.T), strict=True):
+                    _append(dataset, first, values)
             self.file.flush()
             grid = self._plan.experiment.grid
-            self._time.resize((last,))
-            self._time[first:last] = [grid.time(tick) for tick in ticks]
+            _append(self._time, first, np.array([grid.time(tick) for tick in ticks]))
         self._rows, self.ticks = last, ticks[-1]
 
     def finish(self, outcome: Outcome) -> tuple[float, float]:
@@ -253,6 +251,19 @@ def _dataset(group: Any, name: str, dtype: Any, rows: int) -> Any:
         name, shape=(0,), maxshape=(rows,), dtype=dtype, chunks=(min(rows, CHUNK_ROWS),), fletcher32=checksum,
         track_order=True,
     )  # fmt: skip
+
+
+def _append(dataset: Any, first: int, values: Any) -> None:
+    """Write values from `first` on, to the new end."""
+    last = first + len(values)
+    dataset.id.set_extent((last,))
+    if values.dtype.kind == "O":
+        dataset[first:last] = values
+        return
+    # What h5py's dataset[first:last] does, in a third of the time.
+    space = dataset.id.get_space()
+    space.select_hyperslab((first,), (len(values),))
+    dataset.id.write(h5py.h5s.create_simple(values.shape), space, values)
 
 
 def _attach_scale(dataset: Any, scale: Any) -> None:

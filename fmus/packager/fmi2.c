@@ -52,7 +52,6 @@ typedef struct {
 
 enum { T, H };
 enum { N_INPUTS = STATES - INPUTS, N_RESULTS = SIZE - STATES }; /* results: states and outputs */
-#define EVEN(n) ((n) + (n) % 2)
 enum { INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED_PHASE = 8, ANY = 15 };
 
 typedef struct {
@@ -65,7 +64,7 @@ typedef struct {
     State now;
     Callbacks callbacks;
     char *name;
-    double results[EVEN(N_RESULTS) + 2]; /* and zeros */
+    double results[N_RESULTS + 1];
     double work[WORK + 1];
 } Instance;
 
@@ -102,8 +101,7 @@ static const char *kind_of(size_t place) {
 
 /* --- Numbers ------------------------------------------------------------------------------------------------------ */
 
-/* Whether all are finite: adding one to an exponent of nothing but ones runs into the sign.  An even n that is known
-   when compiling makes two comparisons at a time. */
+/* Whether all are finite: adding one to an exponent of nothing but ones runs into the sign. */
 static inline int all_finite(const double *values, size_t n) {
     uint64_t met = 0;
     for (size_t i = 0; i < n; i++) {
@@ -166,10 +164,8 @@ static int settable(const Instance *self, const char *call, Reference place, cha
 
 /* Whether the places follow one another from `first` on, before `end`: then they are copied at once. */
 static inline int is_block(const Reference places[], size_t n, size_t first, size_t end) {
-    Reference differences = 0;
-    if (n == 0 || n > end - first || places[0] < first || places[0] > end - n) return 0;
-    for (size_t i = 0; i < n; i++) differences |= places[i] ^ (places[0] + (Reference)i);
-    return !differences;
+    return n > 0 && n <= end - first && places[0] >= first && places[0] <= end - n &&
+           memcmp(places, PLACES + places[0], n * sizeof *places) == 0;
 }
 
 #define GET(function, call, type, sort)                                                          \
@@ -325,7 +321,7 @@ FMI Status fmi2DoStep(Instance *self, double t, double h, Boolean no_going_back)
     memory[T] = t;
     memory[H] = h;
     evaluate(step, memory, NULL, self->results, self->work);
-    if (!all_finite(memory + INPUTS, STATES - INPUTS) || !all_finite(self->results, N_RESULTS)) {
+    if (!all_finite(memory + INPUTS, N_INPUTS) || !all_finite(self->results, N_RESULTS)) {
         memory[T] = t_before;
         memory[H] = h_before;
         return not_finite(self);

@@ -147,6 +147,7 @@ def _layout(equations: Equations, guid: str) -> bytes:
             ("INPUTS", groups["input"].start), ("STATES", groups["state"].start),
             ("OUTPUTS", groups["output"].start), ("SIZE", layout.size), ("ALL_REAL", int(all_real)))),
         "};",
+        f"static const unsigned int PLACES[] = {{{', '.join(map(str, range(layout.size)))}}};",
         f"static const char TYPES[] = {json.dumps(kinds)};",
         f"static const double START[] = {{{', '.join(map(repr, layout.start()))}}};",
         f"static const char *const NAMES[] = {{{', '.join(map(json.dumps, names))}}};",
