@@ -147,26 +147,21 @@ static int all_finite(const double *values, size_t n) {
 static int step(const Loop *self, const Member *m, double t, double *marks) {
     int status;
     if (marks) marks[0] = now();
-    for (size_t i = 0; i < m->n_sets; i++) {
-        const Call *c = &m->sets[i];
+    for (const Call *c = m->sets, *end = c + m->n_sets; c < end; c++) {
         for (size_t j = 0; j < c->n_runs; j++) copy(c, &c->runs[j], self->tables[c->kind]);
-    }
-    for (size_t i = 0; i < m->n_sets; i++) {
-        const Call *c = &m->sets[i];
         status = c->function(m->component, c->references, c->n, c->values);
-        if (status > FMI_WARNING || status < 0) return status;
+        if ((unsigned)status > FMI_WARNING) return status;
     }
     if (marks) marks[1] = now();
     status = m->step(m->component, t, m->h, 1);
-    if (status > FMI_WARNING || status < 0) return status;
+    if ((unsigned)status > FMI_WARNING) return status;
     if (marks) marks[2] = now();
-    for (size_t i = 0; i < m->n_gets; i++) {
-        const Call *c = &m->gets[i];
+    for (const Call *c = m->gets, *end = c + m->n_gets; c < end; c++) {
         status = c->function(m->component, c->references, c->n, c->values);
-        if (status > FMI_WARNING || status < 0) return status;
+        if ((unsigned)status > FMI_WARNING) return status;
         if (c->staged && !all_finite(c->values, c->n)) return NOT_FINITE;
     }
-    publish_all(self, m, AT_ONCE);
+    if (m->n_published[AT_ONCE]) publish_all(self, m, AT_ONCE);
     if (marks) marks[3] = now();
     return 0;
 }

@@ -51,7 +51,7 @@ typedef struct {
 } Callbacks;
 
 enum { T, H };
-enum { N_INPUTS = STATES - INPUTS, N_RESULTS = SIZE - STATES }; /* results: states and outputs */
+enum { N_INPUTS = STATES - INPUTS, N_OUTPUTS = SIZE - OUTPUTS, N_RESULTS = SIZE - STATES }; /* states and outputs */
 enum { INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED_PHASE = 8, ANY = 15 };
 
 typedef struct {
@@ -168,6 +168,14 @@ static inline int is_block(const Reference places[], size_t n, size_t first, siz
            memcmp(places, PLACES + places[0], n * sizeof *places) == 0;
 }
 
+/* Copies of a size that is known when compiling take no call. */
+static inline void copy(double *to, const double *from, size_t n) {
+    if (n == N_INPUTS) memcpy(to, from, N_INPUTS * sizeof *to);
+    else if (n == N_OUTPUTS) memcpy(to, from, N_OUTPUTS * sizeof *to);
+    else if (n == N_RESULTS) memcpy(to, from, N_RESULTS * sizeof *to);
+    else memcpy(to, from, n * sizeof *to);
+}
+
 #define GET(function, call, type, sort)                                                          \
     Status function(Instance *self, const Reference places[], size_t n, type values[]) {         \
         if (self->now.phase <= INITIALIZING) refresh(self);                                      \
@@ -199,14 +207,14 @@ FMI SET(fmi2SetBoolean, "fmi2SetBoolean", Boolean, 'B')
 FMI Status fmi2GetReal(Instance *self, const Reference places[], size_t n, double values[]) {
     if (self->now.phase <= INITIALIZING || !ALL_REAL || !is_block(places, n, STATES, SIZE))
         return get_reals(self, places, n, values);
-    memcpy(values, self->now.memory + places[0], n * sizeof(double));
+    copy(values, self->now.memory + places[0], n);
     return OK;
 }
 
 FMI Status fmi2SetReal(Instance *self, const Reference places[], size_t n, const double values[]) {
     if (self->now.phase != STEPPING || !ALL_REAL || !is_block(places, n, INPUTS, STATES))
         return set_reals(self, places, n, values);
-    memcpy(self->now.memory + places[0], values, n * sizeof(double));
+    copy(self->now.memory + places[0], values, n);
     self->now.stale = 1;
     return OK;
 }

@@ -1,0 +1,32 @@
+"""The benchmarks run, and what they compare is the same simulation."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import needs_compiler
+
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_the_speed_table_compares_runs_with_the_same_bits(tmp_path):
+    command = [sys.executable, BENCHMARKS / "speed.py", "--quick", "--json", tmp_path / "speed.json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "| the same C in one function |" in done.stdout
+    (same,) = [line for line in done.stdout.splitlines() if "| gauss-seidel |" in line and "same C" in line]
+    assert "105 of 105" in same
+    assert json.loads((tmp_path / "speed.json").read_text())["tables"]
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_formation_of_vehicles_runs(tmp_path):
+    command = [sys.executable, BENCHMARKS / "large.py", "--vehicles", "2", "10", "--repeats", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert [line.split("|")[2].strip() for line in done.stdout.splitlines() if line.startswith(("| 2 |", "| 10 |"))] == [
+        "9", "41",
+    ]  # fmt: skip
