@@ -259,6 +259,8 @@ def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None
     try:
         built, unbuilt = build.build(sorted(named), told, packaging=packaging), {}
     except build.BuildError as error:
+        if len(error.reasons) > 1 and len(set(error.reasons.values())) == 1:  # nothing about a component, then
+            raise
         built, unbuilt = error.built, error.reasons
     return resolve(experiment, built, unbuilt)
 

@@ -204,6 +204,8 @@ def test_native_fmus_are_demanded_without_a_compiler(fresh, write):
         answer = fresh(*arguments, CC="/nonexistent/cc")
         assert answer.code == 2
         assert "no C compiler was found (CC is '/nonexistent/cc'); for native FMUs install gcc or clang" in answer.err
+    told = fresh("run", EXPERIMENTS / "spiral_pid.toml", "--packaging", "native", CC="/nonexistent/cc").err
+    assert told.count("no C compiler was found") == 1  # not once a component
 
 
 @needs_compiler
