@@ -142,6 +142,7 @@ class Metric:
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ("reference", "unit")
     axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name; ("*",): all that there are
+    ranks: str = "always"  # whether a smaller magnitude is better: "always", "never", "of an error" (with a reference)
 
 
 NUMBERS = ("band", "max_power")  # keys that are handed to the function
@@ -153,15 +154,17 @@ METRICS = {
     "ise": Metric(ise, "({})2.s"),
     "itae": Metric(itae, "{}.s2"),
     "max_abs": Metric(max_abs),
-    "final": Metric(final),
+    "final": Metric(final, ranks="of an error"),
     "settling_time": Metric(settling_time, "s", needs=("band",)),
     "convergence_time": Metric(convergence_time, "s", needs=("band",)),
     "overshoot": Metric(overshoot, "%", needs=("reference",), takes=()),
     "total_variation": Metric(total_variation, takes=("unit",)),
     "energy": Metric(energy, "J", needs=("max_power",), takes=(), axes=("*",)),
     "mean_power": Metric(mean_power, "W", needs=("max_power",), takes=(), axes=("*",)),
-    "distance": Metric(distance, "m", needs=("reference",), takes=("stat",), axes=("x", "y", "z")),
-    "heading_difference": Metric(heading_difference, "deg", needs=("reference",), takes=("stat",), axes=("psi",)),
+    "distance": Metric(distance, "m", needs=("reference",), takes=("stat",), axes=("x", "y", "z"), ranks="never"),
+    "heading_difference": Metric(
+        heading_difference, "deg", needs=("reference",), takes=("stat",), axes=("psi",), ranks="never"
+    ),
 }
 
 
@@ -183,6 +186,12 @@ def unit_of(spec: Mapping[str, Any], units: Mapping[str, str]) -> str:
     unit = spec.get("unit") or units.get(spec["signal"], "")
     shown = METRICS[spec["of"]].unit.format(unit)
     return shown.replace("1.s", "s").replace("(1)2.s", "s") if unit == "1" else shown
+
+
+def smaller_is_better(spec: Mapping[str, Any]) -> bool:
+    """Whether of two numbers of this metric the one nearer to zero is the better; else neither is."""
+    ranks = METRICS[spec["of"]].ranks
+    return ranks == "always" or (ranks == "of an error" and "reference" in spec)
 
 
 def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> list[Problem]:

@@ -1,0 +1,71 @@
+r"""Tables for LaTeX with booktabs and siunitx: numbers aligned in S columns, units as \unit."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+
+UNITS = {
+    "m": r"\metre", "mm": r"\milli\metre", "cm": r"\centi\metre", "rad": r"\radian", "deg": r"\degree", "s": r"\second",
+    "N": r"\newton", "Pa": r"\pascal", "J": r"\joule", "W": r"\watt", "V": r"\volt", "A": r"\ampere", "Hz": r"\hertz",
+    "kg": r"\kilogram", "K": r"\kelvin", "%": r"\percent",
+}  # fmt: skip
+POWERS = {"": "", "2": r"\squared", "3": r"\cubed"}
+SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "…": r"\ldots{}"}
+SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
+
+
+def escape(text: str) -> str:
+    """Text without a meaning to LaTeX."""
+    return "".join(SPECIAL.get(letter, letter) for letter in text)
+
+
+def unit(text: str) -> str:
+    r"""A unit as FMUs write it, such as m/s2 or (m)2.s: \unit{\metre\per\second\squared}; as text where unknown."""
+    above, *below = text.split("/")
+    macros = ""
+    for i, part in enumerate([above, *below]):
+        for factor in part.split("."):
+            match = re.fullmatch(r"\(?([A-Za-z%]+?)\)?(\d?)", factor)
+            if not match or match[1] not in UNITS or match[2] not in POWERS:
+                return rf"\unit{{\text{{{escape(text)}}}}}" if text else ""
+            macros += (r"\per" if i else "") + UNITS[match[1]] + POWERS[match[2]]
+    return rf"\unit{{{macros}}}"
+
+
+def number_format(numbers: Sequence[str]) -> str:
+    """siunitx's table-format of a column: digits before and after the point, and of the exponent."""
+    parts = [re.fullmatch(r"(-?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?", number) for number in numbers]
+    found = [part.groups(default="") for part in parts if part]
+    whole, behind, power = (max((len(part[i]) for part in found), default=0) for i in (1, 2, 3))
+    sign = "-" if any(part[0] for part in found) else ""
+    return f"{sign}{whole or 1}.{behind}" + (f"e-{'9' * (power - 1)}" if power else "")
+
+
+def table(
+    corner: Sequence[str],
+    heads: Sequence[Sequence[str]],
+    stubs: Sequence[Sequence[str]],
+    rows: Sequence[Sequence[str]],
+    formats: Sequence[str],
+    caption: str,
+) -> str:
+    """corner: the first line above `stubs`; heads: lines above each column of `rows`; formats: of these columns."""
+    columns = "l" * len(corner) + "".join(f"S[table-format = {form}]" for form in formats)
+    lines = [
+        r"% \usepackage{booktabs, siunitx}", r"\begin{table}", r"  \centering",
+        r"  \sisetup{detect-weight = true}", rf"  \caption{{{caption}}}",
+        rf"  \begin{{tabular}}{{{columns}}}", r"    \toprule",
+    ]  # fmt: skip
+    for i, line in enumerate(itertools.zip_longest(*heads, fillvalue="")):
+        names = corner if i == 0 else [""] * len(corner)
+        lines.append(_row([*names, *(f"{{{text}}}" if text else "" for text in line)]))
+    lines.append(r"    \midrule")
+    lines += [_row([*stub, *row]) for stub, row in zip(stubs, rows, strict=True)]
+    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]
+    return "\n".join(lines)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "    " + " & ".join(cells) + r" \\"

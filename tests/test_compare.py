@@ -1,0 +1,315 @@
+"""orch compare: metrics side by side, what differs, which is best."""
+
+import csv
+import io
+import json
+import os
+import shutil
+import subprocess
+import time
+
+import h5py
+import pytest
+from conftest import ORCH, merged, single, toml
+
+import orchestrator
+from orchestrator import latex
+from orchestrator.metrics import METRICS, smaller_is_better
+
+METRICS_OF_WAVES = {
+    "far_x": {"of": "max_abs", "signal": "one.eta.x"},
+    "far_y": {"of": "max_abs", "signal": "one.eta.y", "unit": "cm"},
+    "heading": {"of": "rms", "signal": "one.eta.psi", "unit": "deg"},
+    "end_z": {"of": "final", "signal": "one.eta.z"},
+    "never": {"of": "settling_time", "signal": "one.ramp", "band": 0.01},
+}
+RUNS = {  # name: place, heading
+    "near": ([1.0, 3.0, -5.0], 0.2), "far": ([2.0, 3.0, -6.0], 0.1), "farther": ([-3.0, 3.00001, -7.0], 0.3),
+}  # fmt: skip
+
+
+def table(place=(1.0, 3.0, -5.0), heading=0.2):
+    experiment = single("waves", place=list(place), heading=heading)
+    return {"title": "Waves & co.", **experiment, "metrics": METRICS_OF_WAVES}
+
+
+def run(folder, experiment, name="waves.toml"):
+    path = folder / name
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in experiment.items()), encoding="utf-8")
+    with orchestrator.run(path, results=folder / "results") as record:
+        return record.run_id, record.path
+
+
+@pytest.fixture(scope="module")
+def store(models, tmp_path_factory):
+    """Three completed runs of one experiment; `store.ids`: {name: run id}."""
+    folder = tmp_path_factory.mktemp("compare")
+    ids = {name: run(folder, table(*parameters))[0] for name, parameters in RUNS.items()}
+    return type("Store", (), {"folder": folder, "ids": ids})
+
+
+@pytest.fixture
+def compare(orch, store):
+    """compare("near", "far", ...): the names of RUNS stand for their ids."""
+    return lambda *arguments, **options: orch(
+        "compare", *(store.ids.get(a, a) for a in arguments), cwd=store.folder, **options
+    )
+
+
+def rows(text):
+    """{first word of a line: its other words}"""
+    return {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
+
+
+def changed(record, target, attributes):
+    """A copy of a record with other attributes."""
+    shutil.copy(record, target)
+    with h5py.File(target, "r+") as file:
+        file.attrs.update({k: json.dumps(v) if isinstance(v, dict) else v for k, v in attributes.items()})
+    return target
+
+
+def test_the_smallest_error_is_marked_and_what_has_no_direction_is_not(compare, store):
+    answer = compare("near", "far", "--metrics", "far_x", "--metrics", "end_z")
+    assert answer.code == 0, answer.err
+    found = rows(answer.out)
+    assert found["run"] == ["what", "differs", "far_x", "end_z"]
+    assert found[store.ids["near"]][-2:] == ["1.000*", "-5.000"]
+    assert found[store.ids["far"]][-2:] == ["2.000", "-6.000"]
+    assert "[m]" in answer.out.splitlines()[1]
+
+
+def test_more_metrics_than_runs_stand_below_each_other(compare, store):
+    found = rows(compare("near", "far").out)
+    assert found["metric"] == ["unit", store.ids["near"], store.ids["far"]]
+    assert found["far_x"] == ["m", "1.000*", "2.000"]
+    assert found["far_y"] == ["cm", "300.0", "300.0"]  # equal: none is best
+    assert found["heading"] == ["deg", "11.46", "5.730*"]
+    assert found["never"] == ["s", "-", "-"]
+    assert "no number: no sample in its window, or never reached" in compare("near", "far").out
+
+
+def test_the_best_is_judged_at_the_digits_that_are_shown(compare):
+    found = compare("near", "far", "farther", "--metrics", "far_y", "--json").json
+    assert found["runs"][2]["metrics"]["far_y"] == pytest.approx(300.001)
+    assert found["metrics"][0]["best"] == []  # 300.0 three times
+    best = compare("near", "farther", "--metrics", "far_x", "--json").json["metrics"][0]
+    assert best["better"] == "smaller"
+
+
+def test_json_holds_every_number_in_full_and_null_for_none(compare, store):
+    answer = compare("near", "far", "--json")
+    first, second = answer.json["runs"]
+    assert (first["run_id"], second["run_id"]) == (store.ids["near"], store.ids["far"])
+    assert first["status"] == "completed"
+    assert first["metrics"]["far_x"] == 1.0
+    assert first["metrics"]["never"] is None
+    columns = {column["name"]: column for column in answer.json["metrics"]}
+    assert columns["far_x"]["best"] == [store.ids["near"]]
+    assert columns["end_z"]["better"] is None
+    assert columns["end_z"]["best"] == []
+    assert columns["heading"]["unit"] == "deg"
+
+
+def test_runs_are_found_by_glob_prefix_file_and_last_each_once(compare, store):
+    ids = store.ids
+    by_file = compare("results/wav*/*.h5", "--json").json["runs"]
+    assert {e["run_id"] for e in by_file} == set(ids.values())
+    assert len(by_file) == 3
+    by_id = compare("waves/*", "far", "last", "--json").json["runs"]
+    assert len(by_id) == 3
+    mixed = compare(ids["near"][:8], f"results/waves/{ids['far']}.h5", "--json").json["runs"]
+    assert [e["run_id"] for e in mixed] == [ids["near"], ids["far"]]
+    answer = compare("nothing*")
+    assert answer.code == 2
+    assert "no record fits 'nothing*', neither a .h5 file here nor a run id in results" in answer.err
+
+
+def test_a_glob_that_fits_no_metric_names_the_nearest(compare):
+    answer = compare("near", "far", "--metrics", "farx")
+    assert answer.code == 2
+    assert "no metric of these runs fits 'farx'; did you mean 'far_x'?" in answer.err
+
+
+def test_runs_are_told_apart_by_parameters_models_and_experiments(compare, store, tmp_path):
+    labels = [e["label"] for e in compare("near", "far", "--json").json["runs"]]
+    assert labels == ["one.heading = 0.2, one.place = (1, 3, -5)", "one.heading = 0.1, one.place = (2, 3, -6)"]
+    clock = merged(single("clock"), {"metrics": {"late": {"of": "max_abs", "signal": "one.y"}}})
+    slower = merged(clock, {"master.stop_time": 0.06})
+    paths = [run(tmp_path, *what)[1] for what in [(clock,), (slower,), (table(),), (table(heading=0.5),)]]
+    labels = [e["label"] for e in compare(*paths, "--json").json["runs"]]
+    assert labels == [
+        "clock, stop_time = 0.05 s", "clock, stop_time = 0.06 s",
+        "waves, stop_time = 0.05 s, one.heading = 0.2", "waves, stop_time = 0.05 s, one.heading = 0.5",
+    ]  # fmt: skip
+    _, other = run(tmp_path, clock, "other.toml")
+    found = compare(paths[0], paths[2], other, "--json").json["runs"]
+    assert [e["label"] for e in found] == ["waves, clock", "waves, waves", "other"]
+    assert [e["name"] for e in found] == [str(paths[0]), paths[2].stem, str(other)]  # two runs of one id
+
+
+def test_a_run_without_a_metric_has_an_empty_cell(compare, store, tmp_path):
+    other, _ = run(tmp_path, merged(table(), {"metrics": {"late": {"of": "final", "signal": "one.ramp"}}}))
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    answer = compare(near, tmp_path / "results" / "waves" / f"{other}.h5", "--format", "csv", "--metrics", "*a*")
+    first, second = csv.DictReader(io.StringIO(answer.out))
+    assert (first["late [m]"], second["late [m]"]) == ("", "0.1")
+    assert (first["far_x [m]"], second["far_x [m]"]) == ("1.0", "")
+
+
+@pytest.mark.parametrize("status", ["failed", "interrupted", "running"])
+def test_a_run_that_did_not_complete_is_shown_and_never_the_best(compare, store, tmp_path, status):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    broken = changed(near, tmp_path / "broken.h5", {"status": status, "metrics": {"far_x": 0.001}, "run_id": "broken"})
+    answer = compare("far", broken, "--metrics", "far_x")
+    found = rows(answer.out)
+    assert found[store.ids["far"]][-1] == "2.000*"
+    assert found["broken"][-1] == "0.001000"
+    assert f"({'interrupted (killed)' if status == 'running' else status})" in answer.out
+
+
+def test_a_failed_run_has_its_row(compare, models, tmp_path):
+    path = tmp_path / "trouble.toml"
+    experiment = merged(single("trouble", kind=1), {"components.one.start": {"u": 0.0}})
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in experiment.items()), encoding="utf-8")
+    with pytest.raises(orchestrator.RunError) as caught:
+        orchestrator.run(path, results=tmp_path / "results")
+    answer = compare("near", caught.value.run.path, "--metrics", "far_x")
+    assert answer.code == 0, answer.err
+    assert rows(answer.out)[caught.value.run.run_id] == ["(failed)", "trouble"]
+    caught.value.run.close()
+
+
+def test_runs_without_metrics_say_so(compare, tmp_path):
+    _, path = run(tmp_path, single("waves"))
+    answer = compare(path)
+    assert answer.code == 0
+    assert "no run has metrics" in answer.out
+
+
+def test_metrics_that_share_a_name_but_not_a_meaning_are_noted(compare, store, tmp_path):
+    changes = {"metrics.far_x.after": 0.02, "metrics.heading.unit": "rad"}
+    _, path = run(tmp_path, merged(table((1.0, 0.0, 0.0)), changes))
+    answer = compare("near", path)
+    assert "note: far_x is not the same in all runs: after = 0.02 or none" in answer.out
+    found = [line.split()[:2] for line in answer.out.splitlines() if line.startswith("heading")]
+    assert found == [["heading", "deg"], ["heading", "rad"]]  # never in one column
+
+
+def test_the_terminal_table_fits_80_columns(compare, store, tmp_path):
+    paths = [run(tmp_path, table((k, 0.5, 1e-5 * k), 1e-3 * k))[1] for k in range(1, 5)]
+    for some in (paths, paths * 2, [*paths, store.folder / f"results/waves/{store.ids['near']}.h5"]):
+        answer = compare(*some, env={**os.environ, "COLUMNS": "80"})
+        assert answer.code == 0, answer.err
+        assert max(map(len, answer.out.splitlines())) <= 80
+        assert all(path.stem in answer.out for path in some)
+
+
+def test_markdown_has_the_best_in_bold(compare, store):
+    lines = compare("near", "far", "farther", "--format", "markdown", "--metrics", "far_x").out.splitlines()
+    assert lines[0] == "| run | what differs | far\\_x [m] |"
+    assert lines[1] == "| --- | --- | ---: |"
+    assert lines[2].startswith(f"| {store.ids['near']} | one.heading = 0.2, one.place = (1, 3, -5) |")
+    assert lines[2].endswith("| **1.000** |")
+    assert lines[3].endswith("| 2.000 |")
+    across = compare("near", "far", "--format", "markdown").out.splitlines()
+    assert "| far\\_x | m | **1.000** | 2.000 |" in across
+
+
+def test_csv_has_a_line_a_run_in_full_precision(compare, store):
+    lines = list(csv.reader(io.StringIO(compare("near", "farther", "--format", "csv").out)))
+    assert lines[0] == ["run", "experiment", "what differs", "status", "far_x [m]", "far_y [cm]", "heading [deg]",
+                        "end_z [m]", "never [s]"]  # fmt: skip
+    assert len(lines) == 3
+    assert lines[2][:2] == [store.ids["farther"], "waves"]
+    assert lines[2][3:6] == ["completed", "3.0", repr(3.00001 * 100.0)]
+    assert lines[2][-1] == ""
+
+
+def test_latex_is_for_siunitx_and_booktabs(compare, store):
+    text = compare("near", "far", "farther", "--format", "latex", "--metrics", "far_*").out
+    assert r"\begin{tabular}{llS[table-format = 1.3]S[table-format = 3.1]}" in text
+    assert r"\toprule" in text
+    assert r"Waves \& co." in text
+    assert r"Run & What differs & {far\_x} & {far\_y} \\" in text
+    assert r"&  & {(\unit{\metre})} & {(\unit{\centi\metre})} \\" in text
+    assert r"\bfseries 1.000" in text
+    across = compare("near", "far", "--format", "latex").out
+    assert rf"Metric & Unit & {{{store.ids['near']}}} & {{{store.ids['far']}}} \\" in across
+    assert r"far\_x & \unit{\metre} & \bfseries 1.000 & 2.000 \\" in across
+    assert r"never & \unit{\second} & {--} & {--} \\" in across
+
+
+@pytest.mark.parametrize(
+    ("unit", "macros"),
+    [
+        ("m", r"\unit{\metre}"), ("m/s2", r"\unit{\metre\per\second\squared}"), ("N.m", r"\unit{\newton\metre}"),
+        ("(m)2.s", r"\unit{\metre\squared\second}"), ("%", r"\unit{\percent}"), ("", ""),
+        ("deg.s2", r"\unit{\degree\second\squared}"), ("furlong_x", r"\unit{\text{furlong\_x}}"),
+    ],
+)  # fmt: skip
+def test_units_of_fmus_are_units_of_siunitx(unit, macros):
+    assert latex.unit(unit) == macros
+
+
+def test_number_formats_leave_room_for_every_number_of_a_column():
+    assert latex.number_format(["1.395e-05", "12.50", "", "-"]) == "2.3e-99"
+    assert latex.number_format(["-0.5000", "123"]) == "-3.4"
+    assert latex.number_format([""]) == "1.0"
+
+
+def test_the_name_of_the_file_says_the_format(compare, store, tmp_path):
+    for name, begins in (("a.tex", "% "), ("a.md", "| "), ("a.csv", "run,"), ("a.txt", "run  ")):
+        target = tmp_path / "new" / name
+        answer = compare("near", "far", "--metrics", "far_x", "-o", target)
+        assert answer.code == 0, answer.err
+        assert answer.out.strip().endswith(name)
+        assert target.read_text(encoding="utf-8").startswith(begins)
+    assert compare("near", "--format", "csv", "-o", tmp_path / "b.tex").code == 0
+    assert (tmp_path / "b.tex").read_text().startswith("run,")
+
+
+def test_no_run_is_written_over(compare, store, tmp_path):
+    path = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    before = path.read_bytes()
+    answer = compare("near", "far", "-o", path)
+    assert answer.code == 2
+    assert "is one of the runs; write to another file" in answer.err
+    assert path.read_bytes() == before
+    (tmp_path / "file").write_text("")
+    answer = compare("near", "-o", tmp_path / "file" / "table.md")
+    assert answer.code == 2
+    assert "cannot be written" in answer.err
+
+
+def test_the_figure_holds_all_runs(compare, store, tmp_path):
+    figure = tmp_path / "all.svg"
+    answer = compare("near", "far", "--plot", figure, "--signals", "one.ramp", "--metrics", "far_x")
+    assert answer.code == 0, answer.err
+    assert answer.out.strip().endswith("all.svg")
+    assert "far_x" in answer.out
+    text = figure.read_text(encoding="utf-8")
+    assert all(store.ids[name] in text for name in ("near", "far"))
+    answer = compare("near", "--signals", "one.ramp")
+    assert answer.code == 2
+    assert "--plot" in answer.err
+
+
+def test_every_metric_has_a_direction_or_none_on_purpose():
+    unranked = {name for name in METRICS if not smaller_is_better({"of": name, "reference": "one.y"})}
+    assert unranked == {"distance", "heading_difference"}
+    assert not smaller_is_better({"of": "final"})  # of a signal, not of an error
+
+
+@pytest.mark.slow
+def test_200_runs_are_compared_within_three_seconds(store, tmp_path):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    (tmp_path / "results" / "waves").mkdir(parents=True)
+    for k in range(200):
+        name = f"{k:010x}"
+        changed(near, tmp_path / "results" / "waves" / f"{name}.h5", {"run_id": name})
+    began = time.monotonic()
+    said = subprocess.check_output([ORCH, "compare", "results/waves/*.h5", "--json"], cwd=tmp_path)
+    took = time.monotonic() - began
+    assert len(json.loads(said)["runs"]) == 200
+    assert took < 3.0  # 0.7 s on an idle machine
