@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -247,6 +248,12 @@ def test_netcdf_opens_it(recorded, chained):
         assert file.dimensions["time"].size == 6
         assert file["a"]["steps"].dimensions == ("time",)
         assert file["a"]["steps"][:].tolist() == [0, 4, 8, 12, 16, 20]
+
+
+@pytest.mark.skipif(shutil.which("h5dump") is None, reason="h5dump is not installed")
+def test_h5dump_shows_it(recorded, chained):
+    command = ["h5dump", "-a", "status", "-d", "/time", recorded(chained)]
+    assert '"completed"' in subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def test_a_failed_record_opens_everywhere(orch, write, models, tmp_path):

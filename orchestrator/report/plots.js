@@ -169,7 +169,7 @@ if (data.groups.length) {
     });
   }
   find("whole").addEventListener("click", () => show(null));
-  const no = (() => panels.filter((entry) => entry.drawn).forEach(repaint));
+  darkness.addEventListener("change", () => panels.filter((entry) => entry.drawn).forEach(repaint));
   addEventListener("beforeprint", () => panels.forEach(draw));
   onSeek.push((t) => {
     now = t;
