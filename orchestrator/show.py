@@ -37,7 +37,7 @@ def result(result: Result, plan: Plan) -> str:
     ]
     if result.metrics:
         units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
-        lines += ["  metrics", *_table(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
+        lines += ["  metrics", *columns_of(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
     return "\n".join(lines)
 
 
@@ -58,15 +58,15 @@ def record(run: Run) -> str:
         ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
     ]
     plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
-    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *_table(plain, indent=2), "", "  components"]
-    lines += _table(
+    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *columns_of(plain, indent=2), "", "  components"]
+    lines += columns_of(
         [(c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
          for c in facts["experiment_resolved"]["components"]], indent=4, cut=True,
     )  # fmt: skip
     if run.metrics:
         units = {name: run.units(name) for name in run.signals}
         specs = facts["experiment_resolved"]["metrics"]
-        lines += ["", "  metrics", *_table(_metrics(run.metrics, specs, units), indent=4)]
+        lines += ["", "  metrics", *columns_of(_metrics(run.metrics, specs, units), indent=4)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
     lines += [f"warning: {warning}" for warning in facts["warnings"]]
@@ -83,7 +83,7 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         spent += sum(phases)
         rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
     rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
-    return [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *_table(rows, indent=4)]
+    return [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
 
 
 def _share(part: float, whole: float) -> str:
@@ -141,7 +141,7 @@ def plan(plan: Plan) -> str:
         f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
         *(f"  note: {note}" for note in plan.notes),
         "",
-        *_table(rows, indent=2),
+        *columns_of(rows, indent=2),
     ]
     return "\n".join(lines)
 
@@ -154,7 +154,7 @@ def fmus(found: Sequence[Fmu]) -> str:
     """The list of FMUs."""
     rows = [("fmu", "packaging", "what it is")]
     rows += [(f.model_name, f.packaging, f.description) for f in found]
-    return "\n".join(_table(rows, cut=True))
+    return "\n".join(columns_of(rows, cut=True))
 
 
 def fmu(fmu: Fmu) -> str:
@@ -171,7 +171,7 @@ def fmu(fmu: Fmu) -> str:
         rows = [_variable(fmu, name) for name in fmu.names(causality)]
         if rows:
             title = "calculated parameters" if causality == "calculatedParameter" else f"{causality}s"
-            lines += ["", title, *_table(rows, indent=2, cut=True)]
+            lines += ["", title, *columns_of(rows, indent=2, cut=True)]
     return "\n".join(lines)
 
 
@@ -215,7 +215,7 @@ def short(path: Path) -> str:
     return relative if len(relative) < len(str(path)) else str(path)
 
 
-def _table(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) -> list[str]:
+def columns_of(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) -> list[str]:
     """Columns as wide as they need; `cut` shortens the last one to the terminal."""
     width = max(80, shutil.get_terminal_size().columns)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]

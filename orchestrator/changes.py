@@ -1,0 +1,99 @@
+"""What differs between two records: what made them, and what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .fmu import split_axis
+from .store import Run
+
+MADE = ("versions", "git_commit", "platform")  # beside what the experiment says
+ENDED = ("status", "error", "stopped_at", "failed_at")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that differs; None where a record lacks it.  `decides`: whether the numbers depend on it."""
+
+    name: str
+    before: Any
+    after: Any
+    decides: bool
+
+
+def changes(a: Run, b: Run) -> list[Change]:
+    """All that differs but clocks: what decides the numbers first, then what may, then results."""
+    before, after = a.attributes, b.attributes
+    deciding = _differing(_experiment(before, after), _experiment(after, before), True)
+    made = _differing({name: before[name] for name in MADE}, {name: after[name] for name in MADE}, False)
+    ended = _differing(_ended(before), _ended(after), False)
+    return [*deciding, *made, *ended]
+
+
+def _ended(facts: Mapping[str, Any]) -> dict[str, Any]:
+    return {**{name: facts.get(name) for name in ENDED if facts.get(name)}, "metrics": facts["metrics"]}
+
+
+def _experiment(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides the numbers; of a component that the other record lacks, only which FMU it is."""
+    resolved = facts["experiment_resolved"]
+    common = {c["name"] for c in other["experiment_resolved"]["components"]}
+    components = {
+        c["name"]: {k: v for k, v in c.items() if k != "name"} if c["name"] in common else c["fmu"]
+        for c in resolved["components"]
+    }
+    connections = {
+        sink: source for sink, source in _vectors(resolved["connections"]).items() if sink.partition(".")[0] in common
+    }
+    order = " ".join(name for name in components if name in common)
+    return {"master": resolved["master"], "order": order, "components": components, "connections": connections,
+            "record": resolved["record"]}  # fmt: skip
+
+
+def _vectors(connections: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Connections of vectors: {"controller.eta": "vehicle.eta"}; axis by axis where they come from several."""
+    sources: dict[str, dict[str, str]] = {}
+    for sink, source in connections:
+        sources.setdefault(split_axis(sink)[0], {})[sink] = source
+    found: dict[str, str] = {}
+    for vector, axes in sources.items():
+        origins = {split_axis(source)[0] for source in axes.values()}
+        found |= {vector: origins.pop()} if len(origins) == 1 and len(axes) > 1 else axes
+    return found
+
+
+def _differing(before: Mapping[str, Any], after: Mapping[str, Any], decides: bool) -> list[Change]:
+    old, new = dict(_flat(before)), dict(_flat(after))
+    return [
+        Change(name, old.get(name), new.get(name), decides)
+        for name in [*old, *(name for name in new if name not in old)]
+        if old.get(name) != new.get(name)
+    ]
+
+
+def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield above + name, value
+
+
+def rows(found: list[Change]) -> list[tuple[str, str, str, str]]:
+    """As a table: name, before, after, and of numbers by how much."""
+    return [(change.name, _shown(change.before), _shown(change.after), _by(change)) for change in found]
+
+
+def _by(change: Change) -> str:
+    a, b = change.before, change.after
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (a, b))
+    return f"{(b - a) / abs(a):+.3g}" if numbers and a else ""
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    text = f"{value:.8g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 24 else f"{text[:21]}..."

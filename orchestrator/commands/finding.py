@@ -1,0 +1,123 @@
+"""Commands that find records, tell them apart, and clear them away."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..errors import OrchError
+from ..options import json_option, results_option, tell
+
+
+def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--experiment, --status, --since, --before and --where."""
+    for option, metavar, text in reversed((
+        ("--experiment", "GLOB", "Of these experiments."),
+        ("--status", "GLOB", "completed, failed, interrupted*, running or corrupt."),
+        ("--since", "TIME", "Created since a date, or an age: 2h, 3d, 1w."),
+        ("--before", "TIME", "Created before it."),
+        ("--where", "EXPRESSION", "For which this is true."),
+    )):  # fmt: skip
+        command = click.option(option, metavar=metavar, default="", help=text)(command)
+    return command
+
+
+@click.command("list")
+@filter_options
+@click.option("--sort", metavar="NAME", default="", help="By this name; default: newest first.")
+@click.option("--reverse", is_flag=True, help="The other way round.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most so many.")
+@click.option("--columns", metavar="NAME,...", default="", help="Show these, too: metrics.rmse_x1, wall_time, ...")
+@click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values, at full precision.")
+@results_option
+@json_option
+def list_(
+    experiment: str, status: str, since: str, before: str, where: str, sort: str, reverse: bool, limit: int | None,
+    columns: str, as_csv: bool, results: str, as_json: bool,
+) -> None:  # fmt: skip
+    """List the runs of the store.
+
+    \b
+    orch list --since 3d --columns metrics.rmse_x1 --sort metrics.rmse_x1
+    orch list --where "components.controller.fmu == 'pid' and metrics.rmse_x < 0.2"
+    orch list --where "components.vehicle.parameters.eta_0.z > 1 and not status == 'failed'"
+
+    Names: run_id, experiment, title, status, created, wall_time, seed, git_commit, ..., components.NAME.fmu,
+    components.NAME.parameters.X, master.step, metrics.NAME, versions.PACKAGE.  The expression knows and, or, not, ==,
+    !=, <, <=, >, >=, in [...] and like 'glob*'.
+    """
+    from .. import listing
+    from ..show import columns_of
+
+    filters = listing.Filters(experiment, status, since, before, where)
+    found = listing.choose(Path(results), filters)
+    found = listing.ordered(found, sort, reverse) if sort else found if reverse else found[::-1]
+    found = found[:limit]
+    shown = [*listing.COLUMNS, *(name.strip() for name in columns.split(",") if name.strip())]
+    if as_json:
+        click.echo(json.dumps(found))
+    elif as_csv:
+        click.echo(listing.as_csv(found, [*shown, "file"]), nl=False)
+    elif found:
+        click.echo("\n".join(columns_of(listing.table(found, shown))))
+    else:
+        tell(
+            f"no run in {results}" + (" passes the filters" if any((experiment, status, since, before, where)) else "")
+        )
+
+
+@click.command()
+@click.argument("a", metavar="A")
+@click.argument("b", metavar="B")
+@results_option
+@json_option
+def diff(a: str, b: str, results: str, as_json: bool) -> int:
+    """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
+
+    Exit code 0 where nothing differs that decides the numbers, else 1.
+    """
+    from .. import changes
+    from ..show import columns_of
+    from ..store import open_run
+
+    with open_run(a, results) as first, open_run(b, results) as second:
+        found = changes.changes(first, second)
+        names = first.run_id, second.run_id
+    if as_json:
+        click.echo(json.dumps([change.__dict__ for change in found]))
+    elif found:
+        click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
+    else:
+        tell("nothing differs but clocks")
+    return 1 if any(change.decides for change in found) else 0
+
+
+@click.command()
+@filter_options
+@click.option("--yes", is_flag=True, help="Delete; without it, only say what would go.")
+@results_option
+def prune(experiment: str, status: str, since: str, before: str, where: str, yes: bool, results: str) -> None:
+    """Delete the records that pass the filters; only says which, unless --yes is given.  Runs that go on stay.
+
+    \b
+    orch prune --status failed --before 4w
+    orch prune --where "master.step > 0.001" --yes
+    """
+    from .. import listing
+    from ..show import short
+
+    filters = listing.Filters(experiment, status, since, before, where)
+    if not filters:
+        raise OrchError("prune deletes what passes its filters; give one, such as --status failed")
+    found = [run for run in listing.choose(Path(results), filters) if run["status"] != "running"]
+    for run in found:
+        if yes:
+            Path(run["file"]).unlink(missing_ok=True)
+        click.echo(f"{short(Path(run['file']))}  {run['status']}")
+    size = sum(run["bytes"] for run in found) / 1e6
+    what = "1 record" if len(found) == 1 else f"{len(found)} records"
+    tell(f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would go; --yes deletes them")

@@ -1,0 +1,238 @@
+"""Finding runs: filters, the cache, what is corrupt or running; telling runs apart; clearing them away."""
+
+import csv
+import io
+import json
+import os
+import shutil
+import subprocess
+import time
+
+import h5py
+import pytest
+from conftest import ORCH, merged, poll, single
+
+from orchestrator.index import NAME
+from orchestrator.where import WhereError, parse
+
+RUN = {
+    "run_id": "a1", "experiment": "spiral", "status": "completed", "step": 0.001, "seed": None,
+    "metrics": {"rmse_x": 0.15, "far": None},
+    "components": {"controller": {"fmu": "pid", "parameters": {"K_p.z": 90.0, "on": True}}},
+}  # fmt: skip
+OTHER = {"run_id": "b2", "metrics": {"extra": 1.0}}
+
+
+# --- The language -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("source", [
+    "metrics.rmse_x < 0.2", "metrics.rmse_x >= .15", "step == 1e-3", "components.controller.fmu == 'pid'",
+    'components.controller.fmu == "pid" and metrics.rmse_x < 0.2', "components.controller.parameters.K_p.z > 89",
+    "status == 'failed' or status == 'completed'", "not status == 'failed'", "experiment like 'sp*'",
+    "components.controller.fmu in ['lyapunov', 'pid']", "components.controller.fmu not in ['lyapunov']",
+    "run_id not like 'b*'", "(step < 1 or step > 2) and not (step > 1)", "components.controller.parameters.on",
+    "components.controller.parameters.on == true", "metrics.rmse_x > -1 and 0 < metrics.rmse_x", "'pi' in 'pid'",
+    "status=='completed'and(step<1)",
+])  # fmt: skip
+def test_an_expression_chooses(source):
+    assert parse(source).choose([RUN]) == [RUN]
+
+
+@pytest.mark.parametrize("source", [
+    "metrics.rmse_x > 0.2", "components.controller.fmu != 'pid'", "status == 'failed' or step > 1",
+    "metrics.extra > 0", "not metrics.extra > 0", "metrics.extra == 2 or not metrics.extra == 2", "metrics.extra",
+])  # fmt: skip
+def test_an_expression_does_not_choose_a_run_that_lacks_a_name_or_fails_it(source):
+    assert RUN not in parse(source).choose([RUN, OTHER])
+
+
+@pytest.mark.parametrize(("source", "sentence", "column"), [
+    ("metrics.rmse_x <", "missing before the end", 16), ("(step < 1", ") is missing", 9),
+    ("step < 1 step", "is not expected here", 9), ("step ; 1", "';' belongs to no name", 5),
+    ("and step", "missing before and", 0), ("step not 3", "not is followed by in or like", 9),
+    ("metrics.rmse_y < 1", "no run has 'metrics.rmse_y'; did you mean 'metrics.rmse_x'?", 0),
+    ("run_id < 3", "compares a text with a number", 7), ("step in 3", "in is followed by a list", 5),
+    ("__import__('os')", "is not expected here", 10), ("step == 'a", "\"'\" belongs to no name", 8),
+    ("", "missing before the end", 0),
+])  # fmt: skip
+def test_a_mistake_is_pointed_at(source, sentence, column):
+    with pytest.raises(WhereError) as caught:
+        parse(source).choose([RUN])
+    first, shown, mark = str(caught.value).split("\n")
+    assert sentence in first
+    assert shown[2:] == source
+    assert mark.index("^") - 2 == column
+
+
+# --- The list ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def store(orch, write, models, tmp_path):
+    """Four runs: two that completed, one that failed, one of another experiment."""
+    path = write(single("waves"), "sea.toml")
+    table = merged(single("waves"), {"metrics": {"far": {"of": "final", "signal": "one.ramp"}}})
+    path = write(table, "sea.toml")
+    orch("run", path)
+    orch("run", path, "--set", "master.stop_time=0.1")
+    orch("run", write(single("moody")), env={**os.environ, "MOOD": "bad"})
+    orch("run", write(single("clock"), "time.toml"))
+    return tmp_path / "results"
+
+
+def listed(orch, *arguments):
+    answer = orch("list", "--json", *arguments)
+    assert answer.code == 0, answer.err
+    return answer.json
+
+
+def test_runs_are_listed_newest_first_in_80_columns(orch, store):
+    lines = orch("list").out.splitlines()
+    assert lines[0].split() == ["run", "id", "experiment", "status", "created", "real", "time", "factor"]
+    assert [line.split()[1] for line in lines[1:]] == ["time", "mine", "sea", "sea"]
+    assert all(len(line) <= 80 for line in lines)
+
+
+def test_filters_and_columns_and_order(orch, store):
+    assert {run["experiment"] for run in listed(orch, "--experiment", "s*")} == {"sea"}
+    assert [run["status"] for run in listed(orch, "--status", "failed")] == ["failed"]
+    assert len(listed(orch, "--where", "metrics.far > 0.15")) == 1
+    assert len(listed(orch, "--since", "1h")) == len(listed(orch, "--before", "2999-01-01")) == 4
+    assert listed(orch, "--since", "2999-01-01") == listed(orch, "--before", "1w") == []
+    assert [run["metrics"]["far"] for run in listed(orch, "--sort", "metrics.far")[:2]] == pytest.approx([0.1, 0.2])
+    assert len(listed(orch, "--limit", "3")) == 3
+    text = orch("list", "--csv", "--columns", "metrics.far", "--experiment", "sea").out
+    assert [float(row["metrics.far"]) for row in csv.DictReader(io.StringIO(text))] == pytest.approx([0.2, 0.1])
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("--status", "complete"), "did you mean 'completed'"), (("--since", "yesterday"), "is no time"),
+    (("--sort", "metrics.near"), "no run has it"), (("--columns", "metrics.fat"), "did you mean 'metrics.far'"),
+])  # fmt: skip
+def test_a_filter_that_means_nothing_is_told(orch, store, arguments, words):
+    answer = orch("list", *arguments)
+    assert (answer.code, words in answer.err) == (2, True), answer.err
+
+
+def test_an_empty_store_has_no_runs(orch):
+    answer = orch("list")
+    assert (answer.code, answer.out, answer.err) == (0, "", "no run in results\n")
+
+
+def test_the_cache_is_used_and_deleted_and_damaged_without_harm(orch, store):
+    first = listed(orch)
+    assert (store / NAME).exists()
+    assert listed(orch) == first
+    (store / NAME).write_bytes(b"no database" * 100)
+    assert listed(orch) == first
+    (store / NAME).unlink()
+    assert listed(orch) == first
+
+
+def test_a_record_that_changes_or_goes_is_seen(orch, store, tmp_path):
+    gone, changed, *_ = listed(orch)
+    (tmp_path / gone["file"]).unlink()
+    with h5py.File(tmp_path / changed["file"], "r+") as file:
+        file.attrs["metrics"] = json.dumps({"far": 7.0, "new": 1.0})
+    found = listed(orch)
+    assert len(found) == 3
+    assert {run["run_id"]: run["metrics"] for run in found}[changed["run_id"]] == {"far": 7.0, "new": 1.0}
+
+
+def test_a_corrupt_file_is_listed_and_hides_nothing(orch, store, tmp_path):
+    os.truncate(tmp_path / listed(orch)[0]["file"], 600)
+    (store / "sea" / "junk.h5").write_bytes(b"junk")
+    found = {run["run_id"]: run for run in listed(orch)}
+    assert len(found) == 5
+    assert found["junk"]["status"] == "corrupt"
+    assert found["junk"]["error"]
+    assert [run["status"] for run in found.values()].count("corrupt") == 2
+
+
+def test_a_store_that_cannot_be_written_is_listed(orch, store):
+    if os.geteuid() == 0:
+        (store / NAME).mkdir()  # root writes anywhere, but not a database over a folder
+    else:
+        store.chmod(0o555)
+    try:
+        assert len(listed(orch)) == 4
+    finally:
+        store.chmod(0o755)
+
+
+def test_running_and_killed_runs_are_told_apart(orch, store, write, models, tmp_path):
+    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3), "slow.toml"), "-q"], cwd=tmp_path) as process:
+        poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
+        time.sleep(0.3)
+        assert [run["status"] for run in listed(orch, "--experiment", "slow")] == ["running"]
+        process.kill()
+    assert [run["status"] for run in listed(orch, "--experiment", "slow")] == ["interrupted (killed)"]
+    assert [run["status"] for run in listed(orch, "--status", "interrupted*")] == ["interrupted (killed)"]
+
+
+@pytest.mark.slow
+def test_ten_thousand_runs_are_listed_in_a_moment(orch, store, tmp_path):
+    with h5py.File(tmp_path / listed(orch, "--experiment", "sea")[0]["file"], "r") as file:
+        attributes = {name: value for name, value in file.attrs.items() if name != "model_descriptions"}
+    many = tmp_path / "many"
+    (many / "sea").mkdir(parents=True)
+    for i in range(10_000):
+        with h5py.File(many / "sea" / f"{i:010x}.h5", "w") as file:
+            file.attrs.update({**attributes, "run_id": f"{i:010x}", "metrics": json.dumps({"far": i / 1e4})})
+    took = []
+    for _ in range(3):
+        began = time.monotonic()
+        found = listed(orch, "--results", many, "--where", "metrics.far < 0.0005", "--limit", "10")
+        took.append(time.monotonic() - began)
+        assert len(found) == 5
+    assert took[0] < 20
+    assert min(took[1:]) < 1.0
+
+
+# --- What differs -----------------------------------------------------------------------------------------------------
+
+
+def test_diff_shows_only_what_differs(orch, store):
+    b, a = (run["run_id"] for run in listed(orch, "--experiment", "sea"))
+    answer = orch("diff", a, b)
+    assert answer.code == 1
+    rows = [line.split() for line in answer.out.splitlines()[1:]]
+    assert ["master.stop_time", "0.05", "0.1", "+1"] in rows
+    assert {row[0] for row in rows} == {"master.stop_time", "metrics.far"}
+    same = orch("diff", a, a)
+    assert (same.code, same.out, same.err) == (0, "", "nothing differs but clocks\n")
+
+
+def test_diff_of_another_controller_names_it(orch, write, spiral, tmp_path):
+    path = write(spiral)
+    first = orch("run", path, "--json").json["run_id"]
+    second = orch("run", path, "--swap", "controller=nstsmc", "--json").json["run_id"]
+    found = {change["name"]: change for change in orch("diff", first, second, "--json").json}
+    swapped = found["components.controller.fmu"]
+    assert (swapped["before"], swapped["after"], swapped["decides"]) == ("pid", "nstsmc", True)
+    assert not found["metrics.rmse_x"]["decides"]
+    assert not any(name.startswith(("components.vehicle", "connections")) for name in found)
+
+
+# --- Clearing away ----------------------------------------------------------------------------------------------------
+
+
+def test_prune_says_what_would_go_and_deletes_when_told(orch, store):
+    dry = orch("prune", "--status", "failed")
+    assert (dry.code, "1 record, " in dry.err, "would go" in dry.err) == (0, True, True)
+    assert len(listed(orch)) == 4
+    assert orch("prune", "--status", "failed", "--yes").code == 0
+    assert [run["status"] for run in listed(orch)] == ["completed"] * 3
+
+
+def test_prune_needs_a_filter_and_leaves_runs_that_go_on(orch, store, write, models, tmp_path):
+    assert orch("prune", "--yes").code == 2
+    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3), "slow.toml"), "-q"], cwd=tmp_path) as process:
+        poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
+        time.sleep(0.3)
+        orch("prune", "--since", "1w", "--yes")
+        assert [run["status"] for run in listed(orch)] == ["running"]
+        process.kill()
+    shutil.rmtree(store / "slow")
+    assert listed(orch) == []
