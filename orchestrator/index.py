@@ -35,11 +35,9 @@ def runs(folder: Path) -> list[Facts]:
     """
     files: list[File] = sorted(_files(folder), key=lambda file: (file[2], file[0]))
     known = _cached(folder)
-    stale = [(path, stamp) for path, *stamp in files if (path, *stamp) not in known]
+    stale = [file for file in files if file not in known]
     if stale:
-        fresh = dict(
-            zip([(path, *stamp) for path, stamp in stale], _read_all([path for path, _ in stale]), strict=True)
-        )
+        fresh = dict(zip(stale, _read_all([path for path, _, _ in stale]), strict=True))
         known |= fresh
         # What is being written changes without its size and time telling.
         _keep(folder, {key: facts for key, facts in fresh.items() if facts["status"] != "running"}, files)
