@@ -7,6 +7,7 @@ import copy
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -51,6 +52,7 @@ def _build_folder(tmp_path_factory):
     os.environ["ORCH_BUILD"] = str(tmp_path_factory.mktemp("build"))
     os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("tmp"))  # where killed runs leave their FMUs
     os.environ.pop("HDF5_USE_FILE_LOCKING", None)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs begin by ignoring it
 
 
 @pytest.fixture(scope="session")
