@@ -357,7 +357,7 @@ def limited(size):
 @pytest.mark.slow
 def test_a_disk_that_fills_up_ends_the_run_with_a_sentence_and_keeps_its_rows(run, models):
     table = merged(single("waves", stop_time=1000.0, step=1e-3), {"record": {"signals": ["*", "!*.eta"]}})
-    answer, record = run(table, preexec_fn=limited(4 << 20))
+    answer, record = run(table, preexec_fn=limited(24 << 20))
     assert answer.code == 3
     assert answer.err == f"{answer.json['file']}: {answer.json['error']}\n"
     assert answer.json["error"] == f"{answer.json['file']} cannot be written: File too large"
