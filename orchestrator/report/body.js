@@ -13,7 +13,7 @@ class Solid {
     this.points.push(...points);
     for (const [i, j, k] of faces) {
       const [a, b, c] = [points[i], points[j], points[k]], normal = unit(cross(minus(b, a), minus(c, a)));
-      const sign = dot(normal, minus(a, middle)) < 0 ? -1 : 1;
+      const sign = dot(normal, minus(a, middle)) < -1e-9 ? -1 : 1;
       const light = 0.98 + sign * dot(normal, [0.1, 0.06, -0.28]);
       this.faces.push([first + i, first + j, first + k, shaded(colour, light)]);
     }

@@ -1,7 +1,7 @@
 """`orch report`: records in, one HTML file out, with its script, its style and its numbers inside.
 
-`curves` and `scene` say what of a record is drawn, plotly.js draws it, told by plots.js and replay.js; `facts` and
-`diagram` are text.  The page forbids itself every request (Content-Security-Policy).
+`curves` and `scene` say what of a record is drawn, plotly.js draws it, told by plots.js, scene.js and replay.js;
+`facts` and `diagram` are text.  The page forbids itself every request (Content-Security-Policy).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .diagram import diagram
 if TYPE_CHECKING:
     from ..store import Run
 
-SCRIPTS = ("core.js", "plots.js", "body.js", "replay.js")  # in this order, in one function
+SCRIPTS = ("core.js", "plots.js", "body.js", "scene.js", "replay.js")  # in this order, in one function
 
 
 def write(runs: Sequence[Run], target: Path) -> Path:
