@@ -354,7 +354,8 @@ def test_text_of_a_record_is_never_code(opened, written, changed, spiral_run, tm
         resolved["metrics"] = {evil: {"of": "final", "signal": "vehicle.eta.x"}}
         file.attrs.update(
             run_id=evil, title=evil, experiment_toml=evil, error=evil, status="failed", failed_at=1.0,
-            command=json.dumps([evil]), warnings=json.dumps([evil]), metrics=json.dumps({evil: 1.0}), experiment_resolved=json.dumps(resolved),
+            command=json.dumps([evil]), warnings=json.dumps([evil]), metrics=json.dumps({evil: 1.0}),
+            experiment_resolved=json.dumps(resolved),
         )  # fmt: skip
 
     page = opened(report.write([changed(spiral_run, poison)], tmp_path / "evil.html"))
