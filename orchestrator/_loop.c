@@ -185,10 +185,10 @@ static void compare(const Alternations *a, const double *table) {
     }
 }
 
-static void look(const Alternations *a, const double *table, Py_ssize_t ticks) {
-    Py_ssize_t phase = ticks % a->every;
-    if (phase == 1 % a->every) compare(a, table);
-    if (phase == 0)
+/* phase: of the tick that has ended, 1 to `every`. */
+static void look(const Alternations *a, const double *table, Py_ssize_t phase) {
+    if (phase == 1) compare(a, table);
+    if (phase == a->every)
         for (size_t i = 0; i < a->n; i++) a->before[i] = a->middle ? table[i] - a->middle[i] : table[i];
 }
 
@@ -207,6 +207,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
                           void *rows[KINDS], Py_ssize_t *failed, int *status) {
     double deadline = now() + patience, marks[4];
     size_t row = 0;
+    Py_ssize_t phase = first % self->alternations.every;
     Py_ssize_t next_row = (first / self->stride + 1) * self->stride;
     Py_ssize_t next_sample = (first + self->sample_every - 1) / self->sample_every * self->sample_every;
     for (Py_ssize_t k = first; k < last; k++) {
@@ -233,7 +234,8 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             if (m->period == 1 || k % m->period == 0) publish_all(self, m, TICK_END);
             if (m->period == 1 || (k + 1) % m->period == 0) publish_all(self, m, PERIOD_END);
         }
-        look(&self->alternations, self->tables[REAL], k + 1);
+        phase = phase == self->alternations.every ? 1 : phase + 1;
+        look(&self->alternations, self->tables[REAL], phase);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
                 size_t n = self->n_recorded[kind], size = size_of(kind);
