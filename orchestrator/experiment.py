@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from . import bounds
 from .errors import ExperimentError, Problem, did_you_mean
-from .grid import Grid
+from .grid import EXACT, Grid
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
 
@@ -89,8 +90,10 @@ def parse(
     """`load` for the text of a file that lies, or lay, at `path`."""
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # what is no TOML, thousands of digits, thousands of brackets
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
+    if out_of_bounds := [*bounds.problems(table), *bounds.problems(set or {})]:
+        raise ExperimentError(path, out_of_bounds)
     reader = _Reader()
     changes = {"set": {key: _plain(value) for key, value in (set or {}).items()}, "swap": dict(swap or {})}
     # The swap first: it drops parameters of the FMU that leaves, not those that are set for the one that comes.
@@ -104,7 +107,7 @@ def parse_value(text: str) -> Any:
     """The value of KEY=VALUE on the command line: TOML where it is, else the text itself."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 
@@ -260,7 +263,10 @@ class _Reader:
 
     def multiple(self, value: float, step: float, key: str) -> None:
         grid = Grid(step)
-        if not grid.ticks(value):
+        ticks = grid.ticks(value)
+        if ticks and ticks > EXACT:
+            self.problem(key, f"{value} s is over {EXACT:.0e} times master.step = {step} s")
+        elif not ticks:
             near = " or ".join(f"{v:.12g}" for v in grid.nearest(value))
             self.problem(key, f"{value} s is not a multiple of master.step = {step} s; try {near}")
 
