@@ -88,20 +88,22 @@ draws = 3
 """
 
 TEXTS = ("", " ", "*", "!", "a", "\0", "é", "\U0001f419", "../../x.fmu", "/dev/zero", "/dev/zero.fmu", "a\nb", "{}",
-         "%s%n", "nan", "pid", "vehicle.eta", "controller", "[", "]", "[1]", "eta[1", ".", "..", "x" * 300, "x" * 100_000, "-1",
-         "fmu", "\ud7ff", "\u202e", "con", "C:\\x.fmu", "~/x.fmu", "[a-", "**", "vehicle.*.*", "1e400")  # fmt: skip
+         "%s%n", "nan", "pid", "vehicle.eta", "controller", "[", "]", "[1]", "eta[1", ".", "..", "x" * 300,
+         "x" * 100_000, "-1", "fmu", "\ud7ff", "\u202e", "con", "C:\\x.fmu", "~/x.fmu", "[a-", "**", "vehicle.*.*",
+         "1e400")  # fmt: skip
 NUMBERS = (0, -0.0, -1, 1, 2, 3.5, 1e-3, 1e-9, 1e-300, 5e-324, 1e300, 1.7e308, 1e15, 2**31, 2**53 + 1, 2**63, -(2**63),
            10**40, 10**400, math.nan, math.inf, -math.inf, 0.1 + 0.2, 1 / 3)  # fmt: skip
 MOMENTS = (datetime.date(2026, 3, 1), datetime.time(7, 32), datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC))
 TOKEN = re.compile(r'"[^"\n]*"|[A-Za-z_][\w-]*|[-+]?\d[\w.+-]*|\s+|.', re.DOTALL)
 SNIPPETS = ("=", "[", "]", "[[", "{", "}", '"', "'''", "#", "\r", "\ufeff", "1e400", "-nan", "0x" + "f" * 300,
-            "9" * 5000, "[" * 500, "a." * 500 + "a = 1\n", "\n[master]\n", "\n[[components]]\n", "\n[components.a.b.c]\n",
-            "x = 1\n", "1979-05-27", "inf", '"\\u0000"', '"\\U0001F419"', "true", "[components]\n", "metrics = 3\n")  # fmt: skip
+            "9" * 5000, "[" * 500, "a." * 500 + "a = 1\n", "\n[master]\n", "\n[[components]]\n",
+            "\n[components.a.b.c]\n", "x = 1\n", "1979-05-27", "inf", '"\\u0000"', '"\\U0001F419"', "true",
+            "[components]\n", "metrics = 3\n")  # fmt: skip
 KEYS = ("master", "components", "vehicle", "controller", "parameters", "record", "K_p", "x", "step", "start", "eta_0",
         "fmu", '"a.b"', "", "é", "0")  # fmt: skip
-XML_VALUES = ("", "-1", "0", "1", "4294967295", "4294967296", "1e400", "nan", "true", "x" * 5000, "../x", "a/b", "é",
-              "2.0", "3.0", "1.0", "input", "output", "parameter", "independent", "Real", "String", "&#10;", "%s", "1 2 3",
-              "99999999", "eta.x", "K[1,", "a]", ".", "&lt;")  # fmt: skip
+XML_VALUES = ("", "-1", "0", "1", "4294967295", "4294967296", "1e400", "nan", "true", "x" * 5000, "../x", "a/b",
+              "é", "2.0", "3.0", "1.0", "input", "output", "parameter", "independent", "Real", "String", "&#10;",
+              "%s", "1 2 3", "99999999", "eta.x", "K[1,", "a]", ".", "&lt;")  # fmt: skip
 
 
 # --- Experiments ------------------------------------------------------------------------------------------------------
@@ -350,7 +352,7 @@ def try_archive(number, seed):
 
 
 def originals(folder):
-    """FMUs to spoil, and an experiment that uses one.  None is ever loaded: nobody knows what their libraries became."""
+    """FMUs to spoil, and an experiment that uses one.  None is ever loaded: who knows what their libraries became."""
     Path("mutant.toml").write_text(EVERYTHING.replace('"pid"', '"mutant.fmu"', 1), encoding="utf-8")
     native = build.build(["pid"])["pid"].read_bytes()
     python = build.build(["pid"], packaging="python")["pid"].read_bytes()
