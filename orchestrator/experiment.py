@@ -154,7 +154,7 @@ class _Reader:
         dropped = component.pop("parameters", None)
         was, component["fmu"] = component.get("fmu"), fmu
         note = f"{name}: {fmu} in place of {was}"
-        return note + (f"; dropped its parameters {', '.join(dropped)}" if dropped else "")
+        return note + (f"; dropped its parameters {', '.join(dropped)}" if isinstance(dropped, dict) and dropped else "")
 
     def experiment(
         self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...],

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from . import archive as archives
+from . import description as descriptions
 from .errors import FmuError
 
 DESCRIPTION = "modelDescription.xml"
@@ -112,6 +113,7 @@ def read(path: Path) -> Fmu:
         text = archive.xml(DESCRIPTION)
         modules = dict(_python_modules(archive))
         names, sha256 = archive.names, archive.sha256
+    descriptions.check(path, text)
     description = _description(path, text)
     version = str(description.fmiVersion)
     if not version.startswith("2."):

@@ -75,3 +75,8 @@ def test_more_steps_than_can_be_counted_are_refused(problems, spiral):
     found = dict(problems(merged(spiral, changes)))
     assert "is over 9e+15 times master.step" in found["components.controller.step"]
     assert "is over 9e+15 times master.step" in found["master.stop_time"]
+
+
+def test_a_swap_drops_parameters_that_are_none(orch, write, spiral):
+    answer = orch("check", write(merged(spiral, {"components.controller.parameters": 3})), "--swap", "controller=pid")
+    assert answer.code == 0, answer.err
