@@ -112,9 +112,11 @@ def parse_value(text: str) -> Any:
 
 
 def split_key(key: str) -> list[str]:
-    """Parts of a dotted TOML key: connections."a.b" has two."""
-    parts = re.findall(r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)', key)
-    return [double or single or bare for double, single, bare in parts]
+    """Parts of a dotted TOML key: connections."a.b" has two; none of what is no key."""
+    part = r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)'
+    if not re.fullmatch(rf"\s*(?:{part})\s*(?:\.\s*(?:{part})\s*)*", key):
+        return []
+    return [double or single or bare for double, single, bare in re.findall(part, key)]
 
 
 class _Reader:
@@ -154,7 +156,8 @@ class _Reader:
         dropped = component.pop("parameters", None)
         was, component["fmu"] = component.get("fmu"), fmu
         note = f"{name}: {fmu} in place of {was}"
-        return note + (f"; dropped its parameters {', '.join(dropped)}" if isinstance(dropped, dict) and dropped else "")
+        names = ", ".join(dropped) if isinstance(dropped, dict) else ""
+        return note + (f"; dropped its parameters {names}" if names else "")
 
     def experiment(
         self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...],

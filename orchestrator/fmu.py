@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import sys
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
@@ -72,13 +73,14 @@ class Fmu:
 
     @cached_property
     def vectors(self) -> dict[str, dict[str, Variable]]:
-        """{name: {axis: variable}}: variables `name.axis` or `name[i]` that share causality, in the FMU's order."""
+        """{name: {axis: variable}}: variables `name.axis`, in the FMU's order, or `name[i]`, by number, that share
+        causality."""
         found: dict[str, dict[str, Variable]] = {}
         for variable in self.variables.values():
             name, axis = split_axis(variable.name)
             if axis and name not in self.variables:
                 found.setdefault(name, {})[axis] = variable
-        return {n: axes for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
+        return {n: _in_order(axes) for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
 
     def lookup(self, name: str) -> dict[str, Variable]:
         """{axis: variable} of a vector, {"": variable} of a scalar, {} of neither."""
@@ -94,6 +96,12 @@ class Fmu:
                 vector = split_axis(variable.name)[0]
                 found[vector if vector in self.vectors else variable.name] = None
         return list(found)
+
+
+def _in_order(axes: dict[str, Variable]) -> dict[str, Variable]:
+    """Numbered axes by their numbers, whatever the order of their declarations."""
+    numbers = {axis: [int(n) for n in axis.split(",")] for axis in axes if re.fullmatch(r"[0-9]{1,9}(,[0-9]{1,9})*", axis)}
+    return {axis: axes[axis] for axis in sorted(axes, key=numbers.__getitem__)} if len(numbers) == len(axes) else axes
 
 
 def split_axis(name: str) -> tuple[str, str]:

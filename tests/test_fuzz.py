@@ -80,3 +80,11 @@ def test_more_steps_than_can_be_counted_are_refused(problems, spiral):
 def test_a_swap_drops_parameters_that_are_none(orch, write, spiral):
     answer = orch("check", write(merged(spiral, {"components.controller.parameters": 3})), "--swap", "controller=pid")
     assert answer.code == 0, answer.err
+
+
+@pytest.mark.parametrize("key", [
+    "master step", "master..step", ".master.step", "master.step.", 'master."step', "", "  ",
+])  # fmt: skip
+def test_an_option_that_is_no_key_sets_nothing(problems, spiral, key):
+    (found,) = problems(spiral, set={key: 0.001})
+    assert found == (f"--set {key}", "is no dotted key, such as master.stop_time")
