@@ -49,7 +49,8 @@ def export(
     named = "ssp" if Path(output or "").suffix.lower() == ".ssp" else exporting.named_by(Path(output or ""))
     form = form or named
     if Path(run).suffix.lower() in EXPERIMENTS:
-        return _export_experiment(run, form, output, sets, swaps, packaging)
+        _export_experiment(run, form, output, sets, swaps, packaging)
+        return
     if form == "ssp":
         raise click.UsageError(f"{run} is a run, SSP is for experiments: give an EXPERIMENT.toml")
     if sets or swaps or packaging != "auto":

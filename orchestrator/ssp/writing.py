@@ -25,7 +25,7 @@ PARAMETERS = "initialValues"  # the name of every component's parameter set: Eco
 
 
 def export(plan: Plan, target: Path) -> Path:
-    """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where the file cannot be written."""
+    """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where it cannot be written."""
     sources = _sources(plan)
     try:
         description = _Writer(plan, sources).text()
@@ -49,21 +49,22 @@ def export(plan: Plan, target: Path) -> Path:
 
 def limits(plan: Plan) -> list[str]:
     """What others will do differently, sentences."""
-    found = []
-    if plan.experiment.master.algorithm != "jacobi":
-        found.append(f"libcosim and Ecos step components at once, as jacobi does; this is {plan.experiment.master.algorithm}")
+    found, master = [], plan.experiment.master
+    if master.algorithm != "jacobi":
+        found.append(f"libcosim and Ecos step all components at once, as jacobi does; this is {master.algorithm}")
     if slow := [part.name for part in plan.parts if part.period > 1]:
-        found.append(f"Ecos has one step for all; {', '.join(slow)} would step at every {plan.experiment.master.step:g} s")
+        found.append(f"Ecos has one step for all: {', '.join(slow)} would step every {master.step:g} s")
     return found
 
 
 def beyond(plan: Plan) -> dict[str, Any]:
     """What of an experiment SSP has no words for, as the table of an experiment file."""
     experiment = plan.experiment
-    components = {c.name: _differing(c, "name", "fmu", "parameters", "start", "swapped") for c in experiment.components}
+    said = ("name", "fmu", "parameters", "start", "step", "swapped")
+    components = {c.name: _differing(c, *said) for c in experiment.components}
     return {
         "title": experiment.title,
-        "master": _differing(experiment.master, "stop_time") | {"algorithm": experiment.master.algorithm},
+        "master": _differing(experiment.master, "stop_time", "step") | {"algorithm": experiment.master.algorithm},
         "components": {name: table for name, table in components.items() if table},
         "record": _differing(experiment.record),
         "metrics": {name: dict(spec) for name, spec in experiment.metrics.items()},
