@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import click
 
@@ -74,9 +75,17 @@ def run(
 @click.argument("experiment", metavar="EXPERIMENT.toml")
 @changes_options
 @packaging_option
+@click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
 @json_option
-def check(experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, as_json: bool) -> None:
-    """Find all problems of an experiment and its FMUs; run nothing."""
+def check(
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, as_json: bool
+) -> None:  # fmt: skip
+    """Find all problems of an experiment and its FMUs, and show the system; run nothing.
+
+    \b
+    orch check experiments/gripping_currents.toml --diagram system.svg
+    orch check system.ssp
+    """
     from .. import show
 
     try:
@@ -85,4 +94,10 @@ def check(experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packag
         if as_json:
             click.echo(json.dumps(show.problems_as_json(error)))
         raise
+    if diagram is not None:
+        from ..diagram import write
+
+        write(plan, Path(diagram))
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
+    if diagram is not None and not as_json:
+        click.echo(f"\n{show.short(Path(diagram))}")
