@@ -68,7 +68,7 @@ class _Flattener:
             self.problem(".".join(path), "is the name of two elements")
             return
         self.elements[path] = element
-        if element.source:
+        if element.leaf:
             self.result.components[path] = element
         for below in element.elements:
             self.collect((*path, below.name), below)
@@ -83,7 +83,7 @@ class _Flattener:
                 return
             declared = self.elements[node[0]].connectors.get(connector)
             kind = declared.kind if declared is not None else ""
-            if declared is None and not self.elements[node[0]].source:
+            if declared is None and not self.elements[node[0]].leaf:
                 self.problem(where, f"{element or 'the system'} has no connector {connector!r}")
                 return
             if kind and kind not in GIVES | TAKES:
@@ -150,7 +150,7 @@ class _Flattener:
 
     def targets(self, path: Path, element: Element, name: str) -> Iterator[tuple[Node, tuple[Connection, ...]]]:
         """The FMU variables that a parameter of an element means, and the connections on the way there."""
-        if element.source:
+        if element.leaf:
             yield (path, name), ()
             return
         if name in element.connectors:

@@ -80,6 +80,8 @@ class _Importer:
     def imported(self) -> Imported:
         files: dict[str, Path] = {}
         for path, element in self.flat.components.items():
+            if not element.source:
+                continue  # a problem already
             try:
                 if element.source not in files:
                     files[element.source] = self.unpack(element.source)

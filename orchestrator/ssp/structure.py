@@ -38,9 +38,10 @@ class Connection:
 
 @dataclass
 class Element:
-    """A component (`source` is its FMU) or a system (`source` is empty)."""
+    """A component or a system.  source: of its FMU, "" where there is none that orch runs."""
 
     name: str
+    leaf: bool = False  # a component
     source: str = ""
     step: float | None = None  # s, of libcosim's annotation
     connectors: dict[str, Connector] = field(default_factory=dict)
@@ -134,11 +135,11 @@ class _Reader:
         return element
 
     def component(self, node: Any, path: str, element: Element) -> None:
-        element.source = node.get("source") or ""
-        kind = node.get("type") or FMU
+        kind, source = node.get("type") or FMU, node.get("source") or ""
+        element.leaf, element.source = True, source if kind == FMU else ""
         if kind != FMU:
             self.problem(path, f"is {kind}, not an FMU; orch runs no SSP inside another, import that one by itself")
-        elif not element.source:
+        elif not source:
             self.problem(path, "names no FMU as its source")
         elif node.get("implementation") == "ModelExchange":
             self.problem(path, "asks for Model Exchange; orch runs FMUs for Co-Simulation")
