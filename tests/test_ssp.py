@@ -1,5 +1,6 @@
 """SSP: experiments for libcosim and Ecos, systems of other tools, and archives that mean harm."""
 
+import copy
 import importlib.resources
 import json
 import random
@@ -368,8 +369,22 @@ def test_links_and_files_that_are_no_archives_are_refused(orch, theirs, tmp_path
     assert "cannot be read: No such file" in orch("run", "nowhere.ssp").err
 
 
+ODD = ["", "-1", "é", "nan", "..", "/", "<", "1e999", "one", "two", "input", "output", "at", "true"]
+
+
 def mutated(text, dice):
-    """The text with a few pieces cut out, doubled or swapped for others."""
+    """The text with a few pieces cut out, doubled or swapped for others: of its tree, or of its letters."""
+    if dice.random() < 0.7:
+        root = etree.fromstring(text.encode())
+        for _ in range(dice.randint(1, 3)):
+            node = dice.choice(list(root.iter(etree.Element)))
+            if node.attrib and dice.random() < 0.6:
+                key = dice.choice(sorted(node.attrib))
+                node.set(key, dice.choice(ODD)) if dice.random() < 0.8 else node.attrib.pop(key)
+            elif node.getparent() is not None:
+                other = dice.choice(list(root.iter(etree.Element)))
+                node.getparent().remove(node) if dice.random() < 0.4 else other.append(copy.deepcopy(node))
+        return etree.tostring(root).decode()
     pieces = text.replace("<", "\0<").replace(' ', "\0 ").replace('"', '\0"').split("\0")
     for _ in range(dice.randint(1, 2)):
         i, j = dice.randrange(len(pieces)), dice.randrange(len(pieces))

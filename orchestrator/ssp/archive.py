@@ -32,17 +32,21 @@ class Archive:
     def open(cls, path: Path) -> Iterator[Archive]:
         """Raises ExperimentError where it is no archive, a dangerous one, or holds no system."""
         try:
-            with zipfile.ZipFile(path) as archive:
-                names = _checked_names(path, archive)
-                if DESCRIPTION not in names:
-                    raise _failure(path, f"is no SSP: it has no {DESCRIPTION}")
-                yield cls(path, archive, names)
-        except FmuError as error:
-            raise _failure(path, str(error)) from None
+            archive = zipfile.ZipFile(path)
         except zipfile.BadZipFile:
             raise _failure(path, "is no SSP: not a zip file") from None
         except OSError as error:
             raise _failure(path, f"cannot be read: {error.strerror or error}") from None
+        except DAMAGED as error:
+            raise _failure(path, f"is damaged: {error}") from None
+        with archive:
+            try:
+                names = _checked_names(path, archive)
+            except FmuError as error:
+                raise _failure(path, str(error)) from None
+            if DESCRIPTION not in names:
+                raise _failure(path, f"is no SSP: it has no {DESCRIPTION}")
+            yield cls(path, archive, names)
 
     def member(self, source: str) -> str:
         """The archive's name of what a relative URI means.  Raises Unreadable."""
@@ -63,7 +67,7 @@ class Archive:
             raise Unreadable(f"{name} is larger than {limit >> 20} MB")
         try:
             return self._archive.read(name)
-        except DAMAGED as error:
+        except (*DAMAGED, OSError) as error:  # OSError: a place in the file that there is not
             raise Unreadable(f"{name} is damaged: {error}") from None
 
     def xml(self, source: str) -> Any:
