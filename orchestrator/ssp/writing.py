@@ -53,7 +53,12 @@ def limits(plan: Plan) -> list[str]:
     if master.algorithm != "jacobi":
         found.append(f"libcosim and Ecos step all components at once, as jacobi does; this is {master.algorithm}")
     if slow := [part.name for part in plan.parts if part.period > 1]:
-        found.append(f"Ecos has one step for all: {', '.join(slow)} would step every {master.step:g} s")
+        names = ", ".join(slow)
+        found.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
+    named = [f"{k.sink}.{k.input.name}" for k in plan.links if k.input.type == "Enumeration"]
+    named += [f"{p.name}.{n}" for p in plan.parts for n in p.parameters if p.fmu.variables[n].type == "Enumeration"]
+    if named:
+        found.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
     return found
 
 
@@ -107,6 +112,7 @@ class _Writer:
         from lxml import etree
 
         self.etree, self.plan, self.sources = etree, plan, sources
+        self.connected = {(k.sink, k.input.name) for k in plan.links} | {(k.source, k.output.name) for k in plan.links}
         self.units: dict[str, Any] = {}  # {name in the SSD: exponents, factor, offset}
         self.enumerations: dict[tuple[tuple[str, int], ...], str] = {}  # {items: name}
 
@@ -136,7 +142,12 @@ class _Writer:
     def component(self, elements: Any, part: Part) -> None:
         component = self.add(elements, "ssd:Component", name=part.name, type=FMU, source=self.sources[part.fmu.sha256],
                              implementation="CoSimulation")  # fmt: skip
-        ports = [v for v in part.fmu.variables.values() if v.causality in ("input", "output")]
+        # libcosim stops at an Enumeration: those that nothing connects may as well be left out.
+        ports = [
+            v for v in part.fmu.variables.values()
+            if v.causality in ("input", "output")
+            and (v.type != "Enumeration" or (part.name, v.name) in self.connected)
+        ]  # fmt: skip
         if ports:
             connectors = self.add(component, "ssd:Connectors")
             for variable in ports:
@@ -184,7 +195,10 @@ class _Writer:
         return name
 
     def enumeration(self, fmu: Fmu, variable: Variable) -> str:
-        return self.enumerations.setdefault(variable.items, f"{fmu.model_name}.{variable.name}")
+        name = f"{fmu.model_name}.{variable.name}"
+        while variable.items not in self.enumerations and name in self.enumerations.values():
+            name += "'"
+        return self.enumerations.setdefault(variable.items, name)
 
     def definitions(self, root: Any) -> None:
         if self.enumerations:
