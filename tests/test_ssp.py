@@ -120,6 +120,7 @@ def test_the_same_experiment_gives_the_same_bytes(orch, write, spiral, tmp_path)
     for name in ("one.ssp", "two.ssp"):
         assert orch("export", write(spiral), "--format", "ssp", "-o", name).code == 0
     assert (tmp_path / "one.ssp").read_bytes() == (tmp_path / "two.ssp").read_bytes()
+    assert {entry.date_time[0] for entry in zipfile.ZipFile(tmp_path / "one.ssp").infolist()} == {1980}  # not the clock
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -40,7 +40,7 @@ def run(
     quiet: bool,
     as_json: bool,
 ) -> int:
-    """Run an experiment and record it."""
+    """Run an experiment, or a SYSTEM.ssp, and record it."""
     from .. import show
     from ..progress import Progress
     from ..runner import execute
