@@ -17,7 +17,8 @@ from . import flatten, structure, toml_text
 from .archive import Archive, Unreadable
 from .parameters import Value, for_variable
 
-SECTIONS = ("title", "record", "metrics", "mavlink", "sweep")  # that SSP has no words for at all
+SECTIONS = ("record", "metrics", "mavlink", "sweep")  # that SSP has no words for at all
+SAID = ("fmu", "parameters", "start", "step")  # of a component, in SSP's own words
 
 Place = Callable[[str, str], Path]
 
@@ -78,6 +79,22 @@ class _Importer:
         self.problems.append(Problem(key, sentence))
 
     def imported(self) -> Imported:
+        files = self.unpacked()
+        self.vectors = {self.names[path]: _vectors(fmu) for path, fmu in self.fmus.items()}
+        beyond = self.structure.beyond
+        table = {
+            "title": beyond.get("title", self.structure.name or self.archive.path.stem),
+            "master": self.master(beyond),
+            "components": self.components(files, _table(beyond, "components")),
+            "connections": self.connections(),
+        } | {key: beyond[key] for key in SECTIONS if beyond.get(key)}
+        self.notes += [f"{'.'.join(path)} is called {name}" for path, name in self.names.items() if path != (name,)]
+        if self.flat.unused:
+            self.notes.append(f"no variable is called {', '.join(self.flat.unused)}: ignored, as SSP has it")
+        return Imported(table, self.problems, self.notes)
+
+    def unpacked(self) -> dict[str, Path]:
+        """{place in the archive: the FMU's file}; reads the FMUs that can be read."""
         files: dict[str, Path] = {}
         for path, element in self.flat.components.items():
             if not element.source:
@@ -90,30 +107,18 @@ class _Importer:
                 self.problem(".".join(path), str(error))
             except FmuError:
                 continue  # reported when the experiment is fitted to its FMUs
-        self.vectors = {self.names[path]: _vectors(fmu) for path, fmu in self.fmus.items()}
-        components = {
-            self.names[path]: {"fmu": self.named(files[element.source])} | self.values(path)
-            for path, element in self.flat.components.items()
-            if element.source in files
-        }
-        beyond = self.structure.beyond
+        return files
+
+    def components(self, files: Mapping[str, Path], beyond: Mapping[str, Any]) -> dict[str, Any]:
+        found = {}
         for path, element in self.flat.components.items():
-            if element.step and element.step != self.structure.step and self.names[path] in components:
-                components[self.names[path]]["step"] = element.step
-        for name, table in _table(beyond, "components").items():
-            if name in components and isinstance(table, dict):
-                components[name] |= {k: v for k, v in table.items() if k not in ("fmu", "parameters", "start")}
-        renamed = {".".join(path): name for path, name in self.names.items() if path != (name,)}
-        self.notes += [f"{old} is called {new}" for old, new in renamed.items()]
-        if self.flat.unused:
-            self.notes.append(f"no variable is called {', '.join(self.flat.unused)}: ignored, as SSP has it")
-        table = {
-            "title": beyond.get("title", self.structure.name or self.archive.path.stem),
-            "master": self.master(beyond),
-            "components": components,
-            "connections": self.connections(),
-        } | {key: beyond[key] for key in SECTIONS[1:] if beyond.get(key)}
-        return Imported(table, self.problems, self.notes)
+            if element.source in files:
+                table = {"fmu": self.named(files[element.source])} | self.values(path)
+                if element.step and element.step != self.structure.step:
+                    table["step"] = element.step
+                more = _table(beyond, self.names[path])
+                found[self.names[path]] = table | {k: v for k, v in more.items() if k not in SAID}
+        return found
 
     def unpack(self, source: str) -> Path:
         digest = hashlib.sha256(self.archive.read(source)).hexdigest()
