@@ -302,6 +302,7 @@ def test_everything_that_orch_does_not_run_is_listed_at_once(orch, theirs):
     ):  # fmt: skip
         assert words in text
     assert "13 problems" in text
+    assert {p.name for p in path.parent.iterdir()} == {"a.fmu", "b.fmu", "theirs.ssp"}  # nothing is left of it
 
 
 def test_what_an_ssp_does_not_say_can_be_said(orch, theirs):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from .. import build
-from ..errors import ExperimentError, FmuError, Problem
+from ..errors import ExperimentError, FmuError, Problem, StoreError
 from ..experiment import Experiment, parse
 from ..fmu import Fmu, Variable, read
 from . import flatten, structure, toml_text
@@ -46,16 +47,30 @@ def load(path: Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, st
 
 
 def convert(path: Path, target: Path) -> Imported:
-    """Write an experiment file, and its FMUs into a folder beside it.  Raises ExperimentError, OrchError."""
+    """Write an experiment file, and its FMUs into a folder beside it.
+
+    Raises ExperimentError, StoreError where they cannot be written; then nothing is.
+    """
     folder = target.with_name(f"{target.stem}_fmus")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".orch-", dir=target.parent) as name:
+            half = Path(name)
 
-    def place(source: str, _: str) -> Path:
-        return folder / PurePosixPath(source.removeprefix("resources/")).parent
+            def place(source: str, _: str) -> Path:
+                return half / PurePosixPath(source.removeprefix("resources/")).parent
 
-    imported = _read(path, place, lambda fmu: fmu.relative_to(target.parent).as_posix())
-    if imported.problems:
-        raise ExperimentError(path, imported.problems)
-    target.write_text(f"# Imported from {path.name}\n{toml_text.write(imported.table)}", encoding="utf-8")
+            imported = _read(path, place, lambda fmu: f"{folder.name}/{fmu.relative_to(half).as_posix()}")
+            if imported.problems:
+                raise ExperimentError(path, imported.problems)
+            for file in sorted(file for file in half.rglob("*") if file.is_file()):
+                final = folder / file.relative_to(half)
+                final.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(final)
+            text = f"# Imported from {path.name}\n{toml_text.write(imported.table)}"
+            target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{target} cannot be written: {error.strerror or error}") from None
     return imported
 
 

@@ -120,6 +120,8 @@ def for_variable(value: Value, variable: Variable, fmu: Fmu) -> Any:
         return _converted(float(value.value), value, variable, fmu)
     if variable.type == "Integer" and value.type == "Real" and value.value.is_integer():
         return int(value.value)
+    if variable.type == value.type == "Enumeration" and value.value not in dict(variable.items):
+        return int(value.value) if value.value.lstrip("-").isdecimal() else value.value
     if value.type == variable.type or (variable.type == "Enumeration" and value.type == "Integer"):
         return value.value
     raise Unreadable(what)
