@@ -97,13 +97,14 @@ def _fmu_name(fmu: str) -> str:
     return fmu.replace("\\", "/").rpartition("/")[2]
 
 
-def _arrows(connections: Iterable[Sequence[str]]) -> Arrows:
-    """Scalar connections (input, output), gathered to vectors: "eta", or "u to command" where the names differ."""
+def _arrows(connections: Iterable[Sequence[Any]]) -> Arrows:
+    """Scalar connections (input, output, what lies between), gathered: "eta", or "u to command" where names differ."""
     arrows: Arrows = {}
-    for sink, source in connections:
+    for sink, source, *between in connections:
         (source_component, _, source_name), (sink_component, _, sink_name) = source.partition("."), sink.partition(".")
         names = split_axis(source_name)[0], split_axis(sink_name)[0]
         label = names[0] if names[0] == names[1] else f"{names[0]} → {names[1]}"
+        label += " (scaled)" if between else ""
         labels = arrows.setdefault((source_component, sink_component), [])
         if label not in labels:
             labels.append(label)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .fmu import split_axis
 from .plan import Link, Plan
+from .variables import split_axis
 
 Rows = list[tuple[str, ...]]
 
@@ -30,7 +30,8 @@ def connections(plan: Plan) -> Rows:
         key = tuple(f"{component}.{name}" for component, name in ends) if alone else (sink, source)
         groups.setdefault((key[0], key[1]), []).append(link)
     for (sink, source), links in groups.items():
-        rows.append((sink, source, _axes(links), _each([link.input.unit for link in links]), "-"))
+        conversion = ", ".join(dict.fromkeys(map(_conversion, links)))
+        rows.append((sink, source, _axes(links), _each([link.input.unit for link in links]), conversion))
     return rows
 
 
@@ -40,6 +41,15 @@ def _axes(links: Sequence[Link]) -> str:
     if not all(pair[0] and pair[1] for pair in pairs):
         return "-"
     return " ".join(a if a == b else f"{a}<-{b}" for a, b in pairs)
+
+
+def _conversion(link: Link) -> str:
+    """From the output to the input: " x 0.0174533 (deg to rad)"."""
+    scale = f"x {link.factor:g}" * (link.factor != 1.0) + f" {link.offset:+g}" * (link.offset != 0.0)
+    ends = [variable.unit or variable.type for variable in (link.output, link.input)]
+    if ends[0] != ends[1] and ((link.output.unit and link.input.unit) or link.output.kind != link.input.kind):
+        return f"{scale} ({ends[0]} to {ends[1]})".strip()
+    return scale.strip() or "-"
 
 
 def _each(units: Sequence[str]) -> str:

@@ -26,6 +26,7 @@ class Drive:
     source: Node
     factor: float = 1.0
     offset: float = 0.0
+    scaled: bool = False  # factor and offset are given
     convert: bool = True
 
 
@@ -105,13 +106,13 @@ class _Flattener:
 
     def drive(self, sink: Node) -> None:
         """Follow the way back to the FMU that drives an input."""
-        node, factor, offset, convert, seen = sink, 1.0, 0.0, True, {sink}
+        node, factor, offset, scaled, convert, seen = sink, 1.0, 0.0, False, True, {sink}
         ways: list[tuple[Node, Connection]] = []
         while node in self.incoming:
             node, connection = self.incoming[node]
             ways.append((node, connection))
             factor, offset = factor * connection.factor, factor * connection.offset + offset
-            convert = convert and connection.convert
+            scaled, convert = scaled or connection.scaled, convert and connection.convert
             if node in seen:
                 self.problem(self.name(sink), "is driven by a circle of connections")
                 return
@@ -120,7 +121,7 @@ class _Flattener:
             return  # the border of the whole: nothing drives it
         units = {c.unit for at, _ in ways[:-1] if (c := self.elements[at[0]].connectors.get(at[1])) and c.unit}
         ends = {c.unit for at in (sink, node) if (c := self.elements[at[0]].connectors.get(at[1])) and c.unit}
-        if len(ways) > 1 and (factor, offset, convert) != (1.0, 0.0, True) and len(units | ends) > 1:
+        if len(ways) > 1 and (scaled or not convert) and len(units | ends) > 1:
             self.problem(self.name(sink), "gets its signal through systems that change both unit and scale; "
                          "connect it in one step")  # fmt: skip
             return
@@ -128,7 +129,7 @@ class _Flattener:
         if kinds & {"parameter", "calculatedParameter"}:
             self.problem(self.name(sink), f"is a parameter connected to {self.name(node)}; give its value instead")
             return
-        self.result.drives[sink] = Drive(node, factor, offset, convert)
+        self.result.drives[sink] = Drive(node, factor, offset, scaled, convert)
 
     def bind(self, path: Path, element: Element) -> None:
         """Parameter values: of the innermost elements first, since those further out take precedence."""

@@ -13,13 +13,14 @@ from typing import Any
 from .. import build
 from ..errors import ExperimentError, FmuError, Problem, StoreError
 from ..experiment import Experiment, parse
-from ..fmu import Fmu, Variable, read
+from ..fmu import Fmu, read
+from ..variables import Variable
 from . import flatten, structure, toml_text
 from .archive import Archive, Unreadable
 from .parameters import Value, for_variable
 
 SECTIONS = ("record", "metrics", "mavlink", "sweep")  # that SSP has no words for at all
-SAID = ("fmu", "parameters", "start", "step")  # of a component, in SSP's own words
+SAID = ("fmu", "parameters", "start", "step", "values")  # of a component, in SSP's own words or read before
 
 Place = Callable[[str, str], Path]
 
@@ -95,7 +96,6 @@ class _Importer:
 
     def imported(self) -> Imported:
         files = self.unpacked()
-        self.vectors = {self.names[path]: _vectors(fmu) for path, fmu in self.fmus.items()}
         beyond = self.structure.beyond
         table = {
             "title": beyond.get("title", self.structure.name or self.archive.path.stem),
@@ -128,10 +128,11 @@ class _Importer:
         found = {}
         for path, element in self.flat.components.items():
             if element.source in files:
-                table = {"fmu": self.named(files[element.source])} | self.values(path)
+                more = _table(beyond, self.names[path])
+                wide = {n: Value("Integer", v) for n, v in _table(more, "values").items() if type(v) is int}
+                table = {"fmu": self.named(files[element.source])} | self.values(path, wide)
                 if element.step and element.step != self.structure.step:
                     table["step"] = element.step
-                more = _table(beyond, self.names[path])
                 found[self.names[path]] = table | {k: v for k, v in more.items() if k not in SAID}
         return found
 
@@ -147,13 +148,17 @@ class _Importer:
             table["algorithm"] = "jacobi"
         return table | _table(beyond, "master")
 
-    def values(self, path: flatten.Path) -> dict[str, Any]:
-        """The tables `parameters` and `start` of a component."""
-        fmu, given = self.fmus.get(path), self.flat.values.get(path, {})
+    def values(self, path: flatten.Path, wide: Mapping[str, Value]) -> dict[str, Any]:
+        """The tables `parameters` and `start` of a component.  wide: values that SSP 1.0 cannot hold."""
+        fmu, given = self.fmus.get(path), {**wide, **self.flat.values.get(path, {})}
         if fmu is None:
             return {}
         parameters: dict[str, Any] = {}
         start: dict[str, Any] = {}
+        structure = {n: v.value for n, v in given.items() if n in fmu.variables and v.type == "Integer"
+                     and fmu.variables[n].causality == "structuralParameter"}  # fmt: skip
+        if structure:
+            fmu = self.fmus[path] = read(fmu.path, structure)
         for name, value in given.items():
             variable = fmu.variables.get(name)
             where = ".".join((*path, name))
@@ -168,7 +173,7 @@ class _Importer:
         free = [v for v in fmu.variables.values() if v.causality == "input" and (path, v.name) not in self.flat.drives]
         found = {"parameters": _gathered(fmu, parameters)} if parameters else {}
         if start:
-            return found | {"start": _gathered(fmu, {v.name: v.initial for v in free} | start)}
+            return found | {"start": _gathered(fmu, {v.name: _initial(v) for v in free} | start)}
         return found | ({"start": "fmu"} if free else {})
 
     def put(self, table: dict[str, Any], value: Value, variable: Variable, fmu: Fmu, where: str) -> None:
@@ -179,21 +184,21 @@ class _Importer:
 
     def connections(self) -> dict[str, Any]:
         """ "input" = "output", vectors as such where all their axes go together."""
-        scalars: dict[str, Any] = {}
+        self.vectors = {self.names[path]: _vectors(fmu) for path, fmu in self.fmus.items()}
+        scalars: dict[str, tuple[str, dict[str, Any]]] = {}  # {input: output, what lies between}
         for (path, name), drive in self.flat.drives.items():
+            between = {"gain": drive.factor, "offset": drive.offset} if drive.scaled else {}
+            between |= {} if drive.convert else {"unit_check": False}
             source = f"{self.names[drive.source[0]]}.{drive.source[1]}"
-            plain = (drive.factor, drive.offset, drive.convert) == (1.0, 0.0, True)
-            table = {"from": source, "gain": drive.factor, "offset": drive.offset}
-            scalars[f"{self.names[path]}.{name}"] = source if plain else (
-                table if drive.convert else table | {"unit_check": False})  # fmt: skip
+            scalars[f"{self.names[path]}.{name}"] = source, between
         found: dict[str, Any] = {}
-        for sink, source in scalars.items():
-            to, origin = self.vector(sink), self.vector(source if isinstance(source, str) else "")
+        for sink, (source, between) in scalars.items():
+            to, origin = self.vector(sink), self.vector(source)
             axes = self.axes(to)
-            if axes and axes == self.axes(origin) and all(scalars.get(to + axis) == origin + axis for axis in axes):
-                found[to] = origin
-            else:
-                found[sink] = source
+            whole = bool(axes) and axes == self.axes(origin)
+            if whole and all(scalars.get(to + axis) == (origin + axis, between) for axis in axes):
+                sink, source = to, origin
+            found[sink] = {"from": source, **between} if between else source
         return found
 
     def vector(self, end: str) -> str:
@@ -226,6 +231,12 @@ def _names(paths: list[flatten.Path]) -> dict[flatten.Path, str]:
 def _table(beyond: Mapping[str, Any], key: str) -> dict[str, Any]:
     table = beyond.get(key, {})
     return table if isinstance(table, dict) else {}
+
+
+def _initial(variable: Variable) -> Any:
+    """The FMU's own start value, as an experiment file gives it."""
+    value = variable.initial
+    return value.hex() if isinstance(value, bytes) else value
 
 
 def _vectors(fmu: Fmu) -> dict[str, str]:

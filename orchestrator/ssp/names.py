@@ -21,8 +21,6 @@ FMU = "application/x-fmu-sharedlibrary"
 OSP = "com.opensimulationplatform"  # annotations that libcosim reads: its step, and a component's own
 OURS = "orch.experiment"  # our annotation: what SSP has no words for, as the TOML of an experiment file
 
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # the order of `Fmu.units`' exponents
-
 
 def tag(name: str) -> str:
     """ "ssd:System" as lxml writes it."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from ..fmu import Fmu, Variable
+from ..fmu import Fmu
+from ..units import conversion
+from ..variables import FLOATS, WHOLE, Variable
 from .archive import Archive, Unreadable
 from .names import PARAMETER_MAPPING, PARAMETER_SET, tag
-from .units import Meaning, Units, read_units
+from .units import Units, read_units
 
 KINDS: dict[str, Callable[[str], Any]] = {
     "Real": float,
@@ -18,17 +20,19 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "Boolean": lambda text: {"true": True, "1": True, "false": False, "0": False}[text.strip()],
     "String": str,
     "Enumeration": str,
+    "Binary": lambda text: bytes.fromhex(text).hex(),
 }
+TYPES = {"truth": "Boolean", "boolean": "Boolean", "string": "String", "binary": "Binary"}  # {kind: type}
 
 
 @dataclass(frozen=True)
 class Value:
-    """type: of the file, a key of KINDS; unit: what it means, None where it is not given."""
+    """type: of the file, a key of KINDS; units: that the file defines."""
 
     type: str
     value: Any
     unit: str = ""
-    meaning: Meaning | None = None
+    units: Units = field(default_factory=dict)
 
     def transformed(self, factor: float, offset: float) -> Value:
         """factor * value + offset.  Raises Unreadable where that means nothing."""
@@ -70,7 +74,7 @@ def _values(root: Any, units: Units) -> Binding:
                 continue
             text, unit = typed.get("value", ""), typed.get("unit") or ""
             try:
-                found[name] = Value(type, read(text), unit, meanings.get(unit))
+                found[name] = Value(type, read(text), unit, meanings)
             except (ValueError, KeyError):
                 raise Unreadable(f"{name} is {text!r}, not a value of type {type}") from None
             break
@@ -115,24 +119,17 @@ def _mapped(values: Binding, entries: list[tuple[str, str, float, float]]) -> Bi
 
 def for_variable(value: Value, variable: Variable, fmu: Fmu) -> Any:
     """The value as the experiment file gives it to this variable, in its unit.  Raises Unreadable."""
-    what = f"is {value.value!r} ({value.type}), and the FMU's is {variable.type}"
-    if variable.type == "Real" and value.type in ("Real", "Integer"):
-        return _converted(float(value.value), value, variable, fmu)
-    if variable.type == "Integer" and value.type == "Real" and value.value.is_integer():
+    if variable.kind in FLOATS and value.type in ("Real", "Integer"):
+        try:
+            factor, offset = conversion(value.unit, value.units, variable.unit, fmu.units)
+        except ValueError as error:
+            raise Unreadable(f"is in {value.unit!r}, the FMU's in {variable.unit!r}: {error}") from None
+        return factor * float(value.value) + offset
+    if variable.type == "Enumeration" and value.type == "Enumeration":
+        number = value.value.lstrip("-").isdecimal() and value.value not in dict(variable.items)
+        return int(value.value) if number else value.value
+    if variable.kind in WHOLE and value.type in ("Real", "Integer") and float(value.value).is_integer():
         return int(value.value)
-    if variable.type == value.type == "Enumeration" and value.value not in dict(variable.items):
-        return int(value.value) if value.value.lstrip("-").isdecimal() else value.value
-    if value.type == variable.type or (variable.type == "Enumeration" and value.type == "Integer"):
+    if TYPES.get(variable.kind) == value.type:
         return value.value
-    raise Unreadable(what)
-
-
-def _converted(number: float, value: Value, variable: Variable, fmu: Fmu) -> float:
-    mine, its = value.meaning, fmu.units.get(variable.unit)
-    if not value.unit or not variable.unit or mine == its or (value.unit == variable.unit and None in (mine, its)):
-        return number
-    if mine is None or its is None:
-        raise Unreadable(f"is in {value.unit!r}, the FMU's in {variable.unit!r}, and not both are defined")
-    if mine[0] != its[0]:
-        raise Unreadable(f"is in {value.unit!r}, the FMU's in {variable.unit!r}: not the same quantity")
-    return float((number * mine[1] + mine[2] - its[2]) / its[1])
+    raise Unreadable(f"is {value.value!r} ({value.type}), and the FMU's is {variable.type}")

@@ -31,9 +31,10 @@ class Connection:
 
     start: tuple[str, str]
     end: tuple[str, str]
-    factor: float
-    offset: float
-    convert: bool  # units
+    factor: float = 1.0
+    offset: float = 0.0
+    scaled: bool = False  # factor and offset are given
+    convert: bool = True  # units
 
 
 @dataclass
@@ -93,7 +94,7 @@ class _Reader:
         if system is None:
             self.problem(DESCRIPTION, "has no System")
             return empty
-        units = dict(read_units(root.find(tag("ssd:Units"))))
+        units = read_units(root.find(tag("ssd:Units")))
         default = root.find(tag("ssd:DefaultExperiment"))
         stop_time, step, beyond = None, None, {}
         if default is not None:
@@ -163,7 +164,7 @@ class _Reader:
                 factor = self.number(linear, "factor", where, 1.0)
                 offset = self.number(linear, "offset", where, 0.0)
             convert = child.get("suppressUnitConversion", "false") not in ("true", "1")
-            element.connections.append(Connection(ends[0], ends[1], factor, offset, convert))
+            element.connections.append(Connection(ends[0], ends[1], factor, offset, linear is not None, convert))
 
     def number(self, node: Any, name: str, where: str, default: Any = None) -> Any:
         text = node.get(name) if node is not None else None

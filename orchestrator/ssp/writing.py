@@ -16,16 +16,21 @@ from typing import Any
 
 from .. import __version__
 from ..errors import OrchError, StoreError
-from ..fmu import Fmu, Variable
+from ..fmu import Fmu
 from ..plan import Link, Part, Plan
+from ..units import BASE, Unit
+from ..variables import FLOATS, OBJECTS, TRUTHS, Variable
 from . import toml_text
-from .names import BASE_UNITS, DESCRIPTION, FMU, NAMESPACES, OSP, OURS, tag
+from .names import DESCRIPTION, FMU, NAMESPACES, OSP, OURS, tag
 
 PARAMETERS = "initialValues"  # the name of every component's parameter set: Ecos applies a set by name
 
 
 def export(plan: Plan, target: Path) -> Path:
     """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where it cannot be written."""
+    if live := [part.name for part in plan.parts if part.live]:
+        names = ", ".join(live)
+        raise OrchError(f"{plan.experiment.path} cannot become an SSP: {names} runs inside orch, and is no FMU")
     sources = _sources(plan)
     try:
         description = _Writer(plan, sources).text()
@@ -56,17 +61,23 @@ def limits(plan: Plan) -> list[str]:
         names = ", ".join(slow)
         found.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
     named = [f"{k.sink}.{k.input.name}" for k in plan.links if k.input.type == "Enumeration"]
-    named += [f"{p.name}.{n}" for p in plan.parts for n in p.parameters if p.fmu.variables[n].type == "Enumeration"]
+    named += [f"{p.name}.{n}" for p in plan.parts for n in {**p.parameters, **p.start}
+              if p.fmu.variables[n].type == "Enumeration"]  # fmt: skip
     if named:
         found.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
+    if modern := [part.name for part in plan.parts if part.fmu.version > 2]:
+        found.append(f"SSP 1.0 knows FMI 2.0, libcosim runs nothing else: {', '.join(modern)} is FMI 3.0")
     return found
 
 
 def beyond(plan: Plan) -> dict[str, Any]:
     """What of an experiment SSP has no words for, as the table of an experiment file."""
     experiment = plan.experiment
-    said = ("name", "fmu", "parameters", "start", "step", "swapped")
+    said = ("name", "fmu", "builtin", "parameters", "start", "step", "swapped")
     components = {c.name: _differing(c, *said) for c in experiment.components}
+    for part in plan.parts:
+        if wide := {name: value for name, value in {**part.parameters, **part.start}.items() if _too_wide(value)}:
+            components[part.name]["values"] = wide
     return {
         "title": experiment.title,
         "master": _differing(experiment.master, "stop_time", "step") | {"algorithm": experiment.master.algorithm},
@@ -76,6 +87,11 @@ def beyond(plan: Plan) -> dict[str, Any]:
         "mavlink": dict(experiment.mavlink),
         "sweep": dict(experiment.sweep),
     }
+
+
+def _too_wide(value: Any) -> bool:
+    """For SSP 1.0, whose integers have 32 bits."""
+    return type(value) is int and not -(1 << 31) <= value < 1 << 31
 
 
 def _differing(settings: Any, *without: str) -> dict[str, Any]:
@@ -105,6 +121,13 @@ def _entry(name: str, compression: int) -> zipfile.ZipInfo:
     return entry
 
 
+def _type(variable: Variable) -> str:
+    """SSP 1.0's name of an FMI type: it has those of FMI 2.0, and Binary."""
+    if variable.type == "Enumeration" or variable.kind in OBJECTS:
+        return variable.type
+    return "Real" if variable.kind in FLOATS else "Boolean" if variable.kind in TRUTHS else "Integer"
+
+
 class _Writer:
     """Builds the description.  The order of elements is that of the standard's schema."""
 
@@ -113,7 +136,7 @@ class _Writer:
 
         self.etree, self.plan, self.sources = etree, plan, sources
         self.connected = {(k.sink, k.input.name) for k in plan.links} | {(k.source, k.output.name) for k in plan.links}
-        self.units: dict[str, Any] = {}  # {name in the SSD: exponents, factor, offset}
+        self.units: dict[str, Unit] = {}  # by their names in the SSD
         self.enumerations: dict[tuple[tuple[str, int], ...], str] = {}  # {items: name}
 
     def text(self) -> bytes:
@@ -153,7 +176,7 @@ class _Writer:
             for variable in ports:
                 connector = self.add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
                 self.type(connector, part.fmu, variable)
-        values = {**part.parameters, **part.start}
+        values = {name: v for name, v in {**part.parameters, **part.start}.items() if not _too_wide(v)}
         if values:
             binding = self.add(self.add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
             set_ = self.add(self.add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0",
@@ -169,23 +192,31 @@ class _Writer:
     def type(self, connector: Any, fmu: Fmu, variable: Variable) -> None:
         if variable.type == "Enumeration":
             self.add(connector, "ssc:Enumeration", name=self.enumeration(fmu, variable))
-        elif variable.type == "Real" and variable.unit in fmu.units:
+        elif variable.kind in FLOATS and variable.unit in fmu.units:
             self.add(connector, "ssc:Real", unit=self.unit(fmu, variable.unit))
         else:
-            self.add(connector, f"ssc:{variable.type}")
+            self.add(connector, f"ssc:{_type(variable)}")
 
     def value(self, parameter: Any, variable: Variable, value: Any) -> None:
-        if variable.type == "Boolean":
+        if variable.kind in TRUTHS:
             text = "true" if value else "false"
         elif variable.type == "Enumeration":
             text = next((name for name, number in variable.items if number == value), str(value))
         else:
             text = value if isinstance(value, str) else repr(value)
-        self.add(parameter, f"ssv:{variable.type}", value=text)
+        self.add(parameter, f"ssv:{_type(variable)}", value=text)
 
     def connection(self, connections: Any, link: Link) -> None:
-        self.add(connections, "ssd:Connection", startElement=link.source, startConnector=link.output.name,
-                 endElement=link.sink, endConnector=link.input.name)  # fmt: skip
+        """Units are converted by factor and offset here: libcosim and Ecos know nothing of units."""
+        scaled = (link.factor, link.offset) != (1.0, 0.0) or (
+            link.input.kind in FLOATS and link.output.kind not in FLOATS
+        )
+        other = link.input.unit and link.output.unit and link.input.unit != link.output.unit
+        settled = {"suppressUnitConversion": "true"} if scaled or other else {}
+        connection = self.add(connections, "ssd:Connection", startElement=link.source, startConnector=link.output.name,
+                              endElement=link.sink, endConnector=link.input.name, **settled)  # fmt: skip
+        if scaled:
+            self.add(connection, "ssc:LinearTransformation", factor=repr(link.factor), offset=repr(link.offset))
 
     def unit(self, fmu: Fmu, unit: str) -> str:
         """Its name in the SSD: another one where two FMUs mean different things by it."""
@@ -209,9 +240,10 @@ class _Writer:
                     self.add(enumeration, "ssc:Item", name=item, value=str(value))
         if self.units:
             units = self.add(root, "ssd:Units")
-            for name, (exponents, factor, offset) in self.units.items():
-                base = {u: str(e) for u, e in zip(BASE_UNITS, exponents, strict=True) if e}
-                scale = {k: repr(v) for k, v, at in (("factor", factor, 1.0), ("offset", offset, 0.0)) if v != at}
+            for name, unit in self.units.items():
+                base = {u: str(e) for u, e in zip(BASE, unit.exponents, strict=True) if e}
+                scale = {"factor": repr(unit.factor)} if unit.factor != 1.0 else {}
+                scale |= {"offset": repr(unit.offset)} if unit.offset else {}
                 self.add(self.add(units, "ssc:Unit", name=name), "ssc:BaseUnit", **base, **scale)
 
     def default_experiment(self, root: Any) -> None:
