@@ -173,8 +173,18 @@ class _Importer:
         free = [v for v in fmu.variables.values() if v.causality == "input" and (path, v.name) not in self.flat.drives]
         found = {"parameters": _gathered(fmu, parameters)} if parameters else {}
         if start:
-            return found | {"start": _gathered(fmu, {v.name: _initial(v) for v in free} | start)}
+            held = {v.name: self.own(v, path) for v in free if v.name not in start}
+            return found | {"start": _gathered(fmu, held | start)}
         return found | ({"start": "fmu"} if free else {})
+
+    def own(self, variable: Variable, path: flatten.Path) -> Any:
+        """The FMU's own start value, as an experiment file gives it."""
+        try:
+            value = variable.initial
+        except ValueError:
+            self.problem(".".join((*path, variable.name)), f"starts at {variable.start!r}, which is no {variable.type}")
+            return 0
+        return value.hex() if isinstance(value, bytes) else value
 
     def put(self, table: dict[str, Any], value: Value, variable: Variable, fmu: Fmu, where: str) -> None:
         try:
@@ -231,12 +241,6 @@ def _names(paths: list[flatten.Path]) -> dict[flatten.Path, str]:
 def _table(beyond: Mapping[str, Any], key: str) -> dict[str, Any]:
     table = beyond.get(key, {})
     return table if isinstance(table, dict) else {}
-
-
-def _initial(variable: Variable) -> Any:
-    """The FMU's own start value, as an experiment file gives it."""
-    value = variable.initial
-    return value.hex() if isinstance(value, bytes) else value
 
 
 def _vectors(fmu: Fmu) -> dict[str, str]:
