@@ -76,20 +76,33 @@ def run(
 @changes_options
 @packaging_option
 @click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
+@click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
+@click.option("--timeout", metavar="S", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
+              help="Of --load, for each FMU.")  # fmt: skip
 @json_option
 def check(
-    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, as_json: bool
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, load: bool,
+    timeout: float, as_json: bool,
 ) -> None:  # fmt: skip
     """Find all problems of an experiment and its FMUs, and show the system; run nothing.
 
+    No FMU is loaded unless --load asks for it.
+
     \b
     orch check experiments/gripping_currents.toml --diagram system.svg
+    orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
     orch check system.ssp
     """
     from .. import show
 
+    told = silent if as_json else tell
     try:
-        plan = prepared(experiment, sets, swaps, silent if as_json else tell, packaging)
+        plan = prepared(experiment, sets, swaps, told, packaging)
+        if load:
+            from .. import loading
+
+            if problems := loading.problems(plan, timeout):
+                raise ExperimentError(plan.experiment.path, problems)
     except ExperimentError as error:
         if as_json:
             click.echo(json.dumps(show.problems_as_json(error)))
@@ -99,5 +112,7 @@ def check(
 
         write(plan, Path(diagram))
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
+    if load:
+        told("every FMU was loaded and initialized")
     if diagram is not None and not as_json:
         click.echo(f"\n{show.short(Path(diagram))}")
