@@ -71,8 +71,8 @@ class Archive:
         except FmuError as error:
             raise Unreadable(str(error).removeprefix(f"{self.path}: ")) from None
         try:
-            return etree.fromstring(text, etree.XMLParser(remove_comments=True, remove_pis=True))
-        except etree.XMLSyntaxError as error:
+            return etree.fromstring(text.encode(), etree.XMLParser(remove_comments=True, remove_pis=True))
+        except (etree.XMLSyntaxError, ValueError) as error:
             raise Unreadable(f"{source} cannot be read: {error}") from None
 
     def unpack(self, source: str, folder: Path) -> Path:
