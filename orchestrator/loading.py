@@ -87,8 +87,9 @@ def _ending(code: int) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """The child."""
+    from .initialization import AlgebraicLoop
     from .member import MemberFailed
-    from .system import AlgebraicLoop, System
+    from .system import System
 
     with open(arguments[0], "a", encoding="utf-8") as outcome:
 

@@ -24,10 +24,11 @@ from typing import Any, Protocol
 
 from .builtin import Live
 from .chatter import Alternations
+from .initialization import AlgebraicLoop
 from .instance import DISCARD
 from .loop import Block, Interrupt, Loop, choose
 from .member import MemberFailed
-from .system import AlgebraicLoop, System
+from .system import System
 from .timing import Timing
 
 CHUNK_SECONDS = 0.02  # of wall time between two looks at the outside world
@@ -61,7 +62,7 @@ def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | No
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
     outcome, interrupt = Outcome("completed"), interrupt or Interrupt()
     try:
-        system.initialize()
+        outcome.warnings += system.initialize()
         _step_all(system, observers, outcome, interrupt)
     except MemberFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)

@@ -12,6 +12,7 @@ from .columns import columns_of
 from .columns import short as short  # of the tables
 from .errors import ExperimentError, OrchError
 from .fmu import Fmu
+from .graph import Cycle, cycles
 from .metrics import finite
 from .plan import Plan
 from .timing import PHASES
@@ -135,6 +136,7 @@ def plan(plan: Plan) -> str:
         f"  {master.stop_time:g} s in {plan.steps} steps of {master.step:g} s, {master.algorithm}; {scalars}",
         f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
         *(f"  note: {note}" for note in plan.notes),
+        *(line for cycle in cycles(plan) for line in _cycle(plan, cycle)),
         "",
         *columns_of(system_table.components(plan), indent=2),
     ]
@@ -143,8 +145,22 @@ def plan(plan: Plan) -> str:
     return "\n".join(lines)
 
 
+def _cycle(plan: Plan, cycle: Cycle) -> list[str]:
+    late = ", ".join(f"{link.sink}.{link.input.name} takes {link.source}.{link.output.name}" for link in cycle.delayed)
+    algorithm = plan.experiment.master.algorithm
+    order = "the order of the components" if algorithm == "gauss-seidel" else "jacobi"
+    return [f"  cycle: {cycle}", "         depends on itself at once: while stepping,",
+            f"         by {order}, {late} of the step before"]  # fmt: skip
+
+
 def plan_as_json(plan: Plan) -> dict[str, Any]:
-    return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, **plan.resolved}
+    found = [
+        {"path": [".".join(port) for port in cycle.path],
+         "delayed": [[f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in cycle.delayed]}
+        for cycle in cycles(plan)
+    ]  # fmt: skip
+    return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, "cycles": found,
+            "notes": list(plan.notes), **plan.resolved}  # fmt: skip
 
 
 def fmus(found: Sequence[Fmu]) -> str:

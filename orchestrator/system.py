@@ -7,7 +7,6 @@ first the outputs of the components, in order, then their inputs.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,6 +17,7 @@ import numpy as np
 
 from .builtin import Live
 from .fmu import Fmu, unpack
+from .initialization import read, settle
 from .instance import Instance, Library
 from .instance3 import Instance3
 from .member import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, MemberFailed, Publication, failing
@@ -40,7 +40,7 @@ class System:
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
-        self._names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
+        self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
         self._folder = Scratch()
         try:
             self._instantiate()
@@ -70,10 +70,10 @@ class System:
         sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
         self._folder.close()
 
-    def initialize(self) -> None:
-        """Initialization mode: parameters, start values, and sweeps until the outputs agree with the inputs.
+    def initialize(self) -> list[str]:
+        """Initialization mode: parameters, start values, and outputs that agree with the inputs.
 
-        Raises MemberFailed, or AlgebraicLoop where 100 sweeps do not settle.
+        Returns what there is to say.  Raises MemberFailed, or AlgebraicLoop.
         """
         stop_time = self.plan.experiment.master.stop_time
         for member in self.members:
@@ -81,42 +81,15 @@ class System:
             fits = self.plan.steps % part.period == 0  # else its last step ends beyond the stop time
             with failing(member):
                 member.instance.setup(0.0, stop_time if fits else None, {**part.parameters, **part.start})
-        for _ in range(100):
-            before = [table.copy() for table in self.tables.values()]
-            for member in self.members:
-                self._exchange(member)
-            changed = [
-                name
-                for kind, old in zip(self.tables, before, strict=True)
-                for name, a, b in zip(self._names[kind], old, self.tables[kind], strict=True)
-                if a != b and a == a  # a nan is reported below as what it is
-            ]
-            if not changed:
-                break
-        else:
-            raise AlgebraicLoop(changed)
+        notes = settle(self)
         for member in self.members:
             with failing(member):
                 member.instance.begin()
         for member in self.members:
-            self._read(member)
+            read(member)
             if member.not_finite():
                 raise MemberFailed(member, member.not_finite())
-
-    def _exchange(self, member: Member) -> None:
-        for gather in member.gathers:
-            gather()
-        with failing(member):
-            for set_ in member.sets:
-                member.instance.check(set_())
-        self._read(member)
-
-    def _read(self, member: Member) -> None:
-        with failing(member):
-            for get in member.gets:
-                member.instance.check(get())
-        for publish in itertools.chain(*member.publish):
-            publish()
+        return notes
 
     def _instantiate(self) -> None:
         libraries: dict[Path, Library] = {}
@@ -167,18 +140,18 @@ class System:
         def reserve(part: Part, ports: _Ports) -> None:
             for kind in KINDS:
                 for variable in ports.of(part.name, kind):
-                    place[part.name, variable.name] = len(self._names[kind])
-                    self._names[kind].append(f"{part.name}.{variable.name}")
+                    place[part.name, variable.name] = len(self.names[kind])
+                    self.names[kind].append(f"{part.name}.{variable.name}")
 
         for part in plan.parts:
             reserve(part, outputs)
-        self.computed = {kind: len(names) for kind, names in self._names.items()}
+        self.computed = {kind: len(names) for kind, names in self.names.items()}
         for part in plan.parts:
             reserve(part, driven)
             reserve(part, held)
         for kind in KINDS:
             start: Any = b"" if kind in OBJECTS else 0
-            self.tables[kind] = np.full(len(self._names[kind]), start, dtype=DTYPES[kind])
+            self.tables[kind] = np.full(len(self.names[kind]), start, dtype=DTYPES[kind])
             places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
             self.recorded[kind] = np.array(places, dtype=np.intp)
         for member in self.members:
@@ -250,15 +223,6 @@ class _Ports:
 
     def of(self, component: str, kind: str) -> list[Variable]:
         return sorted(self._found.get((component, kind), {}).values(), key=lambda v: (v.reference, v.element))
-
-
-class AlgebraicLoop(Exception):
-    """The initial values do not settle.  `.signals`: those that still changed."""
-
-    def __init__(self, signals: list[str]):
-        shown = ", ".join(signals[:12]) + (", ..." if len(signals) > 12 else "")
-        super().__init__(f"the initial values do not settle in 100 sweeps, an algebraic loop through {shown}; "
-                         "break it with a component whose output does not depend on its input at once")  # fmt: skip
 
 
 def _clash(fmu: Fmu) -> bool:

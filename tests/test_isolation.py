@@ -81,7 +81,7 @@ def test_a_process_of_its_own_changes_no_bit(orch, write, probe, changes, loop, 
 
 @pytest.mark.parametrize("loop", ["", "python"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_there_is_told_and_keeps_every_earlier_row(orch, write, probe, left, tmp_path, fault, loop, monkeypatch):
+def test_a_fault_there_is_told_and_keeps_every_row(orch, write, probe, left, tmp_path, fault, loop, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
     mode, words = FAULTS[fault]
     for k in random.Random(fault + loop).sample(range(1, 19), 5 if FUZZ == 1 and loop else min(18, 5 * FUZZ)):

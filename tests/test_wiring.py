@@ -1,5 +1,6 @@
 """FMU files and what is connected to what: every misfit is found before anything runs."""
 
+import math
 import struct
 import zipfile
 
@@ -201,6 +202,43 @@ def test_units_must_be_of_the_same_quantity(resolve, problems, two, unit, fits):
             ('connections."b.u"', "u is in 'm', y in 's': one is s, the other m in SI base units; connect what fits, "
              "or say unit_check = false for this connection")
         ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("source", "sink", "factor", "offset"), [
+    ("deg", "rad", math.pi / 180, 0.0), ("rpm", "rad/s", math.pi / 30, 0.0), ("kn", "m/s", 1852 / 3600, 0.0),
+    ("degC", "K", 1.0, 273.15), ("K", "degC", 1.0, -273.15), ("rad", "deg", 180 / math.pi, 0.0), ("", "rad", 1.0, 0.0),
+])  # fmt: skip
+def test_units_of_one_quantity_are_converted(resolve, two, source, sink, factor, offset):
+    table = two(
+        a=[("y", "Real", "output", None, source or None, "it"), *PROBE_VARIABLES[2:]],
+        b=[("u", "Real", "input", "0", sink, "it"), *PROBE_VARIABLES[1:]],
+    )
+    link = next(link for link in resolve(table).links if link.input.name == "u")
+    assert (link.factor, link.offset) == (pytest.approx(factor, rel=1e-15), pytest.approx(offset, rel=1e-15))
+
+
+@pytest.mark.parametrize(("connection", "outcome"), [
+    ({"from": "a.y", "unit_check": False}, (1.0, 0.0)),
+    ({"from": "a.y", "unit_check": False, "gain": 2, "offset": -1}, (2.0, -1.0)),
+    ({"from": "a.y", "gain": 2.0}, "unit_check = false"),
+    ({"gain": 2.0}, "is {'gain': 2.0}, not the name of an output"),
+    ({"from": "a.y", "gian": 2.0}, "unknown key; did you mean 'gain'?"),
+    ({"from": "a.y", "gain": "2"}, "is '2'; give a finite number"),
+])  # fmt: skip
+def test_a_connection_may_scale_and_may_leave_units_alone(resolve, problems, two, connection, outcome):
+    a = [("y", "Real", "output", None, "s", "a time"), *PROBE_VARIABLES[2:]]
+    table = two(a=a, **{"connections.b.u": connection})
+    if isinstance(outcome, str):
+        assert outcome in " ".join(sentence for _, sentence in problems(table))
+    else:
+        link = next(link for link in resolve(table).links if link.input.name == "u")
+        assert (link.factor, link.offset) == outcome
+
+
+def test_a_gain_may_carry_the_unit_of_a_number_without_one(resolve, two):
+    a = [("y", "Real", "output", None, "1", "a command"), *PROBE_VARIABLES[2:]]
+    table = two(a=a, **{"connections.b.u": {"from": "a.y", "gain": 40.0}})
+    assert next(link.factor for link in resolve(table).links if link.input.name == "u") == 40.0
 
 
 @pytest.mark.parametrize(("axes", "words"), [
