@@ -46,11 +46,11 @@ def prepared(
     from .experiment import load
     from .wiring import prepare
 
-    loaded = load(experiment, _pairs("--set", sets), _swaps(swaps))
+    loaded = load(experiment, pairs("--set", sets), swaps_of(swaps))
     return prepare(loaded, told, packaging)
 
 
-def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
+def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
     from .experiment import parse_value
 
     pairs = {}
@@ -62,7 +62,7 @@ def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
     return pairs
 
 
-def _swaps(texts: tuple[str, ...]) -> Mapping[str, str]:
+def swaps_of(texts: tuple[str, ...]) -> Mapping[str, str]:
     swaps = {}
     for text in texts:
         component, equals, fmu = text.partition("=")

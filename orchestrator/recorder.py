@@ -48,12 +48,13 @@ class Recorder:
     Raises StoreError where the file is there already or cannot be written.
     """
 
-    def __init__(self, path: Path, plan: Plan, run_id: str):
+    def __init__(self, path: Path, plan: Plan, run_id: str, facts: Mapping[str, Any] | None = None):
+        """facts: root attributes that are known already, in place of those that would be found out."""
         self.path, self._plan = path, plan
         self._waiting: list[Block] = []
         self._rows = 0
         self.ticks = 0  # of the last row on disk
-        attributes = _attributes(plan, run_id)
+        attributes = _attributes(plan, run_id, facts or {})
         size = HEADER * (2 + len(plan.parts) + len(plan.recorded)) + 4 * sum(len(str(v)) for v in attributes.values())
         _claim(path, size + ROOM)
         try:
@@ -224,7 +225,7 @@ def _datasets_of(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
             yield component, variable, variable.shape
 
 
-def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
+def _attributes(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str, Any]:
     """What is known of a run before it begins."""
     experiment = plan.experiment
     attributes = {
@@ -232,7 +233,8 @@ def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
         "status": "running", "error": "", "created": _now(), "wall_time": math.nan, "real_time_factor": math.nan,
         "algorithm": experiment.master.algorithm, "step": experiment.master.step, "experiment": experiment.path.stem,
         "experiment_toml": experiment.text, "experiment_resolved": json.dumps(plan.resolved),
-        "versions": json.dumps(versions()), "git_commit": git_commit(experiment.path.parent),
+        "versions": facts["versions"] if "versions" in facts else json.dumps(versions()),
+        "git_commit": facts["git_commit"] if "git_commit" in facts else git_commit(experiment.path.parent),
         "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
         "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
         "metrics": "{}", "warnings": "[]", "timing": "{}",
@@ -241,7 +243,7 @@ def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
     }  # fmt: skip
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed
-    return attributes
+    return {**attributes, **facts}
 
 
 def _claim(path: Path, size: int) -> None:
