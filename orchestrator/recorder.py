@@ -26,6 +26,7 @@ import h5py
 import numpy as np
 
 from .errors import StoreError
+from .hdf5 import attach, describe
 from .loop import Block
 from .master import Outcome
 from .metrics import finite
@@ -184,16 +185,17 @@ class Recorder:
 
     def _create(self, attributes: Mapping[str, Any]) -> None:
         plan, file = self._plan, self.file
-        file.attrs.update(attributes)
+        describe(file, attributes)
         rows = plan.steps // plan.stride + 1
         self._time = _dataset(file, "time", np.dtype(np.float64), rows)
         self._time.make_scale("time")
         self._time.attrs.update({"units": "s", "long_name": "simulated time"})
         for part in plan.parts:
             group = file.create_group(part.name, track_order=True)
-            group.attrs.update(
+            describe(
+                group,
                 {"fmu": part.fmu_name, "fmu_sha256": part.fmu.sha256, "fmi_version": part.fmu.fmi_version,
-                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))}
+                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))},
             )  # fmt: skip
         self._datasets: dict[str, list[Any]] = {}
         references = []
@@ -202,7 +204,7 @@ class Recorder:
             dataset = _dataset(group, name, np.dtype(STORED.get(variable.kind, DTYPES[variable.kind])), rows, shape)
             attributes = {"units": variable.unit or "1", "long_name": variable.description or name,
                           "causality": variable.causality}  # fmt: skip
-            dataset.attrs.update(attributes)
+            describe(dataset, attributes)
             scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(shape, 1)]
             for i, scale in enumerate(scales, 1):
                 scale.make_scale(f"{name}_dim{i}")
@@ -311,7 +313,7 @@ def _attach_scales(dataset: Any, scales: Sequence[Any]) -> None:
     value = np.empty((len(scales),), dtype=object)
     for i, scale in enumerate(scales):
         value[i] = np.array([scale.ref], dtype=h5py.ref_dtype)
-    dataset.attrs.create("DIMENSION_LIST", value, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+    attach(dataset, "DIMENSION_LIST", value, h5py.vlen_dtype(h5py.ref_dtype))
 
 
 def versions() -> dict[str, str]:

@@ -6,7 +6,17 @@ import json
 
 import click
 
-from ..options import INTERRUPTED, changes_options, json_option, packaging_option, pairs, results_option, silent, swaps_of, tell
+from ..options import (
+    INTERRUPTED,
+    changes_options,
+    json_option,
+    packaging_option,
+    pairs,
+    results_option,
+    silent,
+    swaps_of,
+    tell,
+)
 
 
 @click.command()

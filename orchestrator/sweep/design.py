@@ -80,7 +80,8 @@ class Design:
     def runs(self, first: int = 0) -> list[Run]:
         """Draw by draw, every combination of the lists.  first: the draw to begin with."""
         numbers = self.sample(first + self.draws)
-        found, combinations = [], self.combinations
+        found: list[Run] = []
+        combinations = self.combinations
         for draw in range(first, first + self.draws):
             drawn = {key: numbers[key][draw] for key in self.distributions}
             found += [Run(len(found) + i, draw, {**c, **drawn}) for i, c in enumerate(combinations)]
@@ -169,7 +170,7 @@ class _Reader:
             self.problem("draws", "is missing; say how many draws of the distributions to run")
         draws = self.whole(table, "draws", 1, 1)
         if not random and draws != 1:
-            self.problem("draws", f"is {draws}, but nothing in sweep.vary is a distribution: all draws would be one run; "
+            self.problem("draws", f"is {draws}, but no value in sweep.vary is a distribution: all would be one run; "
                          'leave it out, or vary "master.seed" by { distribution = "integer", ... }')  # fmt: skip
         return draws
 
@@ -182,7 +183,7 @@ class _Reader:
             isinstance(group, list) and all(isinstance(key, str) for key in group) for group in zipped
         )
         if not fits:
-            self.problem("zip", f'is {zipped!r}; give a list of lists of keys, such as [["master.step", "record.every"]]')
+            self.problem("zip", f'is {zipped!r}; give lists of keys, such as [["master.step", "record.every"]]')
             zipped = []
         for group in zipped:
             for key in group:
@@ -224,11 +225,11 @@ class _Reader:
         for key in needs:
             if key not in table:
                 self.problem(f"{where}.{key}", "is missing")
-        kind: type | tuple[type, ...] = int if name == "integer" else (int, float)
         numbers = [key for key in needs if key in table and key not in ("values", "axes")]
         for key in numbers:
             value = table[key]
-            if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(value):
+            fits = isinstance(value, int) or (isinstance(value, float) and name != "integer" and math.isfinite(value))
+            if isinstance(value, bool) or not fits:
                 what = "whole number" if name == "integer" else "finite number"
                 self.problem(f"{where}.{key}", f"is {value!r}, not a {what}")
                 return

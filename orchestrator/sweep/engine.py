@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -24,7 +23,7 @@ from ..errors import OrchError, StoreError
 from ..recorder import git_commit
 from . import cluster, table, warm, worker
 from .design import Run
-from .storage import Storage
+from .storage import PART, Storage
 from .study import Job, Study
 from .worker import FAILED, Line
 
@@ -127,7 +126,7 @@ def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threadin
             except KilledWorker:
                 lines = []
                 if len(asked) == 1:
-                    lines = [Line(asked[0].index, status=FAILED, error="the process that ran it died, three times over")]
+                    lines = [Line(asked[0].index, status=FAILED, error="three times the process that ran it died")]
                 else:
                     alone += asked
             except CancelledError:
@@ -149,8 +148,8 @@ def _size(seconds: float, waiting: int, hands: int) -> int:
 def _lay_out(study: Study, storage: Storage) -> None:
     """The sweep's folder: what it is, the FMUs, and nothing left of processes that were killed."""
     if storage.local is not None:
-        for rest in storage.local.glob(".part-*"):
-            shutil.rmtree(rest, ignore_errors=True)
+        for rest in storage.local.glob(f"{PART}*"):
+            rest.unlink(missing_ok=True)
     for digest, path in study.files.items():
         if not storage.exists(warm.fmu_place(digest)):
             storage.write(warm.fmu_place(digest), path.read_bytes())

@@ -93,7 +93,8 @@ class Rows:
     """The signals that metrics are made of, in memory: what `metrics.evaluate` needs of a record."""
 
     def __init__(self, plan: Plan):
-        ends = {str(spec[end]) for spec in plan.experiment.metrics.values() for end in ("signal", "reference") if end in spec}
+        specs = plan.experiment.metrics.values()
+        ends = {str(spec[end]) for spec in specs for end in ("signal", "reference") if end in spec}
         self._grid, self._units, self._column = plan.experiment.grid, {}, {}
         self._chosen: dict[str, list[int]] = {}
         count: dict[str, int] = {}

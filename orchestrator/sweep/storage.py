@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import OrchError, StoreError
 
+PART = ".part-"  # begins the name of a record that is being written
 MISSING = 'sweeps need dask, distributed, fsspec and scipy; pip install "orch[sweep]"'
 
 
@@ -58,7 +59,8 @@ class Storage:
     def read(self, name: str) -> bytes:
         """Raises StoreError where it cannot be read."""
         try:
-            return Path(self.place(name)).read_bytes() if self._system is None else self._system.cat_file(self.place(name))
+            place = self.place(name)
+            return Path(place).read_bytes() if self._system is None else bytes(self._system.cat_file(place))
         except OSError as error:
             raise StoreError(f"{self.address}/{name} cannot be read: {_reason(error)}") from None
 
@@ -103,10 +105,16 @@ class Storage:
 
     @contextmanager
     def scratch(self, name: str) -> Iterator[Path]:
-        """A place for a file that is being written, from where `put` moves it; gone at the end."""
-        beside = self._root if self._system is None else None  # the same file system, so that moving is renaming
-        with tempfile.TemporaryDirectory(dir=beside, prefix=".part-") as folder:
-            yield Path(folder) / os.path.basename(name)
+        """A place for a file that is being written, from where `put` moves it; empty at the end."""
+        if self._system is None:  # the same file system, so that moving is renaming
+            place = Path(self.place(f"{PART}{os.getpid()}-{Path(name).stem}"))
+            try:
+                yield place
+            finally:
+                place.unlink(missing_ok=True)
+        else:
+            with tempfile.TemporaryDirectory(prefix="orch-") as folder:
+                yield Path(folder) / name
 
     @contextmanager
     def _writing(self, name: str) -> Iterator[None]:

@@ -161,7 +161,8 @@ def _plans(
         try:
             plans.append(wiring.resolve(one, built, unbuilt))
         except ExperimentError as error:
-            where = ", ".join(f"{key} = {value!r}" for key, value in run.values.items() if key not in design.distributions)
+            listed = {key: value for key, value in run.values.items() if key not in design.distributions}
+            where = ", ".join(f"{key} = {value!r}" for key, value in listed.items())
             for problem in error.problems:
                 key = problem.key.removeprefix("--set ").removeprefix("--swap ")
                 key = f'sweep.vary."{key}"' if key in run.values else problem.key

@@ -6,13 +6,13 @@ unpacked for every run, each run's libraries would stay in memory.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from .. import fmu as fmus
 from .. import system, wiring
 from ..errors import StoreError
 from ..fmu import Fmu
@@ -27,7 +27,7 @@ class Shelf:
         self._folder = tempfile.TemporaryDirectory(prefix="orch-worker-", ignore_cleanup_errors=True)
         self._read: dict[tuple[Any, ...], Fmu] = {}
         self._libraries: dict[str, Library] = {}
-        self._fetch, self._unpack = wiring.read, system.unpack
+
 
     def fmu(self, storage: Storage, digest: str) -> Path:
         """The FMU of that digest, from the sweep's folder.  Raises StoreError where it is not what it should be."""
@@ -35,7 +35,7 @@ class Shelf:
         if not path.exists():
             content = storage.read(fmu_place(digest))
             if hashlib.sha256(content).hexdigest() != digest:
-                raise StoreError(f"{storage.address}/{fmu_place(digest)} is damaged; delete it and begin the sweep again")
+                raise StoreError(f"{storage.address}/{fmu_place(digest)} is damaged; delete it, then sweep again")
             beside = path.with_suffix(".part")
             beside.write_bytes(content)
             os.replace(beside, path)
@@ -44,23 +44,25 @@ class Shelf:
     def read(self, path: Path, *more: Any) -> Fmu:
         """`fmu.read`, once a file of this folder."""
         if path.parent != Path(self._folder.name):
-            return self._fetch(path, *more)
+            return fmus.read(path, *more)
         key = (path, *map(repr, more))
         if key not in self._read:
-            self._read[key] = self._fetch(path, *more)
+            self._read[key] = fmus.read(path, *more)
         return self._read[key]
 
     def unpack(self, fmu: Fmu, folder: Path) -> None:
         """`fmu.unpack` as a link to what has been unpacked before."""
         target = self._unpacked(fmu)
-        folder.parent.mkdir(parents=True, exist_ok=True)
         try:
-            folder.symlink_to(target, target_is_directory=True)
+            if not folder.parent.exists():
+                folder.parent.symlink_to(target.parent, target_is_directory=True)
+            else:
+                folder.symlink_to(target, target_is_directory=True)
         except OSError:  # Windows allows links to some users only
-            self._unpack(fmu, folder)
+            fmus.unpack(fmu, folder)
 
     def library(self, fmu: Fmu, folder: Path) -> Library:
-        """A native FMU's library, loaded once; a Python FMU's lives with the run, for its folder joins Python's path."""
+        """A native FMU's library, loaded once; a Python FMU's anew, for its folder joins Python's path."""
         if fmu.packaging == "python":
             return Library(fmu, folder)
         if fmu.sha256 not in self._libraries:
@@ -70,7 +72,7 @@ class Shelf:
     def _unpacked(self, fmu: Fmu) -> Path:
         folder = Path(self._folder.name) / fmu.sha256 / fmu.model_identifier
         if not folder.exists():
-            self._unpack(fmu, folder)
+            fmus.unpack(fmu, folder)
         return folder
 
 
@@ -87,7 +89,7 @@ def shelf() -> Shelf:
     if not _shelves:
         mine = Shelf()
         _shelves.append(mine)
-        wiring.read, system.unpack = mine.read, mine.unpack
-        with contextlib.suppress(AttributeError):
-            system.Library = mine.library  # type: ignore[assignment,misc]
+        for module, name, value in ((wiring, "read", mine.read), (system, "unpack", mine.unpack),
+                                    (system, "Library", mine.library)):  # fmt: skip
+            setattr(module, name, value)
     return _shelves[0]

@@ -8,15 +8,18 @@ import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import h5py
 
 from ..errors import OrchError
 from ..loop import Interrupt
+from ..metrics import finite
 from ..plan import Plan
 from ..recorder import versions
-from ..store import UNREADABLE, first_line
+from ..store import UNREADABLE
+from ..store import Run as Record
 from ..wiring import resolve
 from . import warm
 from .design import Run
@@ -87,7 +90,7 @@ def _one(job: Job, run: Run, shelf: warm.Shelf, storage: Storage, interrupt: Int
         done = perform(plan, path, job.keep, known, interrupt)
         if done.status != "interrupted":
             storage.put(path, name)
-    return Line(run.index, run_id, done.status, done.error, _plain(done.metrics))
+    return Line(run.index, run_id, done.status, done.error, finite(done.metrics))
 
 
 def plan_of(job: Job, run: Run, shelf: warm.Shelf, storage: Storage) -> Plan:
@@ -113,13 +116,12 @@ def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float
             rows = len(file["time"])
             if rows != rows_of(plan, keep, facts.get("stopped_at")):
                 return None
-            signals = () if keep == "metrics" else plan.recorded
-            if any(len(file[component][variable.name]) != rows for component, variable in signals):
+            ends = [name.partition(".")[::2] for name in Record(Path(name), file).signals]
+            if bool(ends) != (keep != "metrics") or any(len(file[component][name]) != rows for component, name in ends):
                 return None
             found: dict[str, float | None] = json.loads(facts["metrics"])
             return found if set(found) == set(plan.experiment.metrics) else None
-    except UNREADABLE as error:
-        first_line(error)
+    except UNREADABLE:
         return None
 
 
@@ -129,12 +131,6 @@ def _lockless(opened: Any) -> dict[str, bool]:
 
 def _as_json(value: Any) -> Any:
     return json.loads(json.dumps(value))
-
-
-def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:
-    from ..metrics import finite
-
-    return finite(metrics)
 
 
 @functools.cache
