@@ -86,6 +86,7 @@ def sweep(
                 elif words := cluster.alike(client):
                     raise OrchError(f"--scheduler {scheduler}: {words}")
                 _run(client, job, ended, fail_fast, pressed, told)
+            _clear(storage)
         finally:
             ended.interrupted = pressed.is_set()
             lines = table.text(runs, ended.lines, [column.name for column in study.columns])
@@ -126,7 +127,7 @@ def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threadin
             except KilledWorker:
                 lines = []
                 if len(asked) == 1:
-                    lines = [Line(asked[0].index, status=FAILED, error="three times the process that ran it died")]
+                    lines = [Line(asked[0].index, status=FAILED, error="the processes that ran it died, one after the other")]
                 else:
                     alone += asked
             except CancelledError:
@@ -147,13 +148,18 @@ def _size(seconds: float, waiting: int, hands: int) -> int:
 
 def _lay_out(study: Study, storage: Storage) -> None:
     """The sweep's folder: what it is, the FMUs, and nothing left of processes that were killed."""
-    if storage.local is not None:
-        for rest in storage.local.glob(f"{PART}*"):
-            rest.unlink(missing_ok=True)
+    _clear(storage)
     for digest, path in study.files.items():
         if not storage.exists(warm.fmu_place(digest)):
             storage.write(warm.fmu_place(digest), path.read_bytes())
     storage.write(table.DESCRIPTION, (json.dumps(study.describe(), indent=1) + "\n").encode())
+
+
+def _clear(storage: Storage) -> None:
+    """Delete what processes that were killed have left."""
+    if storage.local is not None:
+        for rest in storage.local.glob(f"{PART}*"):
+            rest.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 from ..show import columns_of, short
 from .design import labels
 from .engine import Ended
+from .storage import is_local
 from .study import Study
 from .table import TABLE
 from .worker import FAILED
@@ -41,7 +42,7 @@ def ended(ended: Ended) -> str:
     lines = [f"{ended.study.experiment.path.stem} sweep {ended.study.sweep_id}: {facts['status']}"]
     counts = f"{facts['completed']} completed, {facts['failed']} failed, {facts['missing']} missing"
     found = [("runs", f"{facts['runs']}: {counts}"), ("there before", str(facts["reused"])),
-             ("wall time", f"{ended.wall_time:.1f} s"), ("table", short(Path(facts["table"])))]  # fmt: skip
+             ("wall time", f"{ended.wall_time:.1f} s"), ("table", _place(facts["table"]))]  # fmt: skip
     lines += [f"  {name:<13} {value}" for name, value in found]
     failed = [line for _, line in sorted(ended.lines.items()) if line.status == FAILED]
     lines += [f"  run {line.index} failed ({line.run_id or 'no record'}): {line.error}" for line in failed[:FAILURES]]
@@ -63,6 +64,10 @@ def _facts(ended: Ended) -> Mapping[str, Any]:
         "status": status, "runs": len(ended.runs), "completed": ended.count("completed"),
         "failed": ended.count(FAILED), "missing": ended.missing, "reused": ended.reused, "wall_time": ended.wall_time,
     }  # fmt: skip
+
+
+def _place(address: str) -> str:
+    return short(Path(address)) if is_local(address) else address
 
 
 def _shown(value: Any) -> str:

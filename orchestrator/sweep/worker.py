@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import platform
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -44,6 +45,7 @@ class Line:
 
 
 _interrupts: dict[str, Interrupt] = {}
+_one_at_a_time = threading.Lock()  # a Dask worker may have several threads; FMUs of a process want one
 
 
 def batch(token: str, job: Job, runs: Sequence[Run], stop_at_failure: bool) -> list[Line]:
@@ -59,7 +61,8 @@ def batch(token: str, job: Job, runs: Sequence[Run], stop_at_failure: bool) -> l
             break
         began = time.perf_counter()
         try:
-            line = _one(job, run, shelf, storage, interrupt)
+            with _one_at_a_time:
+                line = _one(job, run, shelf, storage, interrupt)
         except KeyboardInterrupt:
             break
         except OrchError as error:  # this draw cannot run, or its record cannot be written
