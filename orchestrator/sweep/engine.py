@@ -127,7 +127,7 @@ def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threadin
             except KilledWorker:
                 lines = []
                 if len(asked) == 1:
-                    lines = [Line(asked[0].index, status=FAILED, error="the processes that ran it died, one after the other")]
+                    lines = [Line(asked[0].index, status=FAILED, error="every process that ran it died")]
                 else:
                     alone += asked
             except CancelledError:
