@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,11 @@ def prepared(
     from .wiring import prepare
 
     loaded = load(experiment, pairs("--set", sets), swaps_of(swaps))
+    if loaded.sweep:
+        from .sweep import design
+
+        found = design.read(loaded.sweep)[1]
+        loaded = dataclasses.replace(loaded, problems=(*loaded.problems, *found))
     return prepare(loaded, told, packaging)
 
 

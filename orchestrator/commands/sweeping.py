@@ -25,7 +25,7 @@ from ..options import (
 @packaging_option
 @click.option("--dry-run", is_flag=True, help="Print the table of runs; run nothing.")
 @click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes here; default: one a core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, such as tcp://host:8786.")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler: run on its cluster, not here.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
 @results_option
 @json_option
@@ -66,3 +66,43 @@ def sweep(
         told("interrupted; the same command runs what is missing")
         return INTERRUPTED
     return 3 if ended.count("failed") else 0
+
+
+@click.command()
+@click.argument("experiment", metavar="EXPERIMENT.toml")
+@changes_options
+@packaging_option
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes here; default: one a core.")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler: run on its cluster, not here.")
+@results_option
+@json_option
+def tune(
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, workers: int | None,
+    scheduler: str | None, results: str, as_json: bool,
+) -> int:  # fmt: skip
+    """Search the parameters of controllers, as [sweep.tune] says, and compare them on draws that they have not seen.
+
+    \b
+    orch tune experiments/sweep_currents.toml
+    orch tune experiments/sweep_currents.toml --set sweep.tune.trials=100
+
+    Every controller gets the same number of trials on the same draws.  The study lies in DIR/_tune and goes on where it
+    was interrupted, or with more trials; beside it the tuned parameters, as TOML for an experiment or a sweep.
+    """
+    from ..sweep import listing
+    from ..sweep import tune as tuning
+    from ..sweep.progress import Progress, Trials
+
+    told = silent if as_json else tell
+    trials, progress = Trials(quiet=as_json), Progress(quiet=as_json)
+    try:
+        outcome = tuning.tune(experiment, pairs("--set", sets), swaps_of(swaps), packaging, results, scheduler, workers,
+                              told, trials, progress)  # fmt: skip
+    finally:
+        trials.done()
+        progress.done()
+    click.echo(json.dumps(listing.tuned_as_json(outcome)) if as_json else listing.tuned(outcome))
+    if outcome.final is None or outcome.final.interrupted:
+        told("interrupted; the same command goes on")
+        return INTERRUPTED
+    return 3 if outcome.final.count("failed") else 0

@@ -126,7 +126,8 @@ def analyse(table: Table, globs: Sequence[str] = (), by: str = "") -> Analysis:
         for column in columns
         for one, other in itertools.combinations(contenders, 2)
     ]
-    by = " + ".join(table.labels[key] for key in group) or "runs"
+    short = len({cells[:1] for cells in names}) == len(names)  # the first key of a zipped group may be enough
+    by = " + ".join(table.labels[key] for key in group[: 1 if short else None]) or "runs"
     notes = _notes(failures, table)
     return Analysis(table, by, group, contenders, columns, summaries, _corrected(pairs), failures, notes, names)
 

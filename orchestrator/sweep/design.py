@@ -36,8 +36,21 @@ DISTRIBUTIONS = {  # {name: the keys it needs}
     "choice": ("values",),
     "direction": ("axes", "low", "high"),
 }
-KEYS = ("draws", "design", "seed", "keep", "vary", "zip")
+KEYS = ("draws", "skip", "design", "seed", "keep", "vary", "zip", "tune")
 TINY = 2.0**-54
+
+
+class Vector(dict[str, float]):
+    """A drawn value with axes."""
+
+
+def cells_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """{dotted key: value}, those with axes one a cell: other axes stay what the file says."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        is_vector = isinstance(value, Vector)
+        found |= {f"{key}.{axis}": part for axis, part in value.items()} if is_vector else {key: value}
+    return found
 
 
 @dataclass(frozen=True)
@@ -50,18 +63,17 @@ class Run:
 
     @property
     def cells(self) -> dict[str, Any]:
-        """The values, those with axes one a cell."""
-        found: dict[str, Any] = {}
-        for key, value in self.values.items():
-            axes = value if isinstance(value, dict) and _is_direction(value) else None
-            found |= {f"{key}.{axis}": part for axis, part in axes.items()} if axes else {key: value}
-        return found
+        """What stands in the table."""
+        return cells_of(self.values)
 
 
 @dataclass(frozen=True)
 class Design:
-    """A [sweep] that was read.  lists: the groups of keys whose values change together, each with its rows of values;
-    distributions: {key: its table}."""
+    """A [sweep] that was read.
+
+    lists: the groups of keys whose values change together, each with its rows of values; distributions: {key: its
+    table}; skip: how many draws are left out before the first, for they were used elsewhere.
+    """
 
     draws: int
     method: str
@@ -69,6 +81,7 @@ class Design:
     keep: str
     lists: tuple[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]], ...]
     distributions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    skip: int = 0
 
     @property
     def combinations(self) -> list[dict[str, Any]]:
@@ -77,12 +90,12 @@ class Design:
         keys = [key for names, _ in self.lists for key in names]
         return [dict(zip(keys, itertools.chain(*chosen), strict=True)) for chosen in itertools.product(*rows)]
 
-    def runs(self, first: int = 0) -> list[Run]:
-        """Draw by draw, every combination of the lists.  first: the draw to begin with."""
-        numbers = self.sample(first + self.draws)
+    def runs(self) -> list[Run]:
+        """Draw by draw, every combination of the lists."""
+        numbers = self.sample(self.skip + self.draws)
         found: list[Run] = []
         combinations = self.combinations
-        for draw in range(first, first + self.draws):
+        for draw in range(self.skip, self.skip + self.draws):
             drawn = {key: numbers[key][draw] for key in self.distributions}
             found += [Run(len(found) + i, draw, {**c, **drawn}) for i, c in enumerate(combinations)]
         return found
@@ -103,13 +116,20 @@ class Design:
         """What makes two sweeps the same: not the number of draws where more of them only add to the table."""
         lists = sorted([list(keys), [list(row) for row in rows]] for keys, rows in self.lists)
         return {"design": self.method, "seed": self.seed, "lists": lists, "distributions": dict(self.distributions),
-                "draws": self.draws if self.method == "lhs" else None}  # fmt: skip
+                "skip": self.skip, "draws": self.draws if self.method == "lhs" else None}  # fmt: skip
 
 
 def read(table: Mapping[str, Any]) -> tuple[Design, list[Problem]]:
     """The design that a [sweep] asks for, and everything that is wrong with it."""
     reader = _Reader()
     return reader.design(table), reader.problems
+
+
+def distribution_problems(key: str, table: Mapping[str, Any]) -> list[Problem]:
+    """What is wrong with one distribution.  key: its dotted key below [sweep]."""
+    reader = _Reader()
+    reader.distribution(key, table)
+    return reader.problems
 
 
 def labels(keys: Sequence[str]) -> dict[str, str]:
@@ -149,8 +169,6 @@ class _Reader:
             elif isinstance(value, list):
                 if not value:
                     self.problem(where, "is an empty list; name the values to run")
-                elif (same := _repeated(value)) is not None:
-                    self.problem(where, f"has {same!r} twice; the two would be the same run")
                 lists[key] = tuple(value)
             elif isinstance(value, dict) and "distribution" in value:
                 self.distribution(where, value)
@@ -163,6 +181,7 @@ class _Reader:
         return Design(
             draws, self.one_of(table, "design", DESIGNS), self.whole(table, "seed", 0, None),
             self.one_of(table, "keep", KEEP), self.groups(table.get("zip", []), lists, distributions), distributions,
+            self.whole(table, "skip", 0, 0),
         )  # fmt: skip
 
     def draws(self, table: Mapping[str, Any], random: bool) -> int:
@@ -202,7 +221,11 @@ class _Reader:
         found: dict[tuple[str, ...], tuple[tuple[Any, ...], ...]] = {}
         for key in lists:
             group = tuple(k for k in joined.get(key, (key,)) if k in lists)
-            found.setdefault(group, tuple(zip(*(lists[k] for k in group), strict=False)))
+            rows = tuple(zip(*(lists[k] for k in group), strict=False))
+            if group not in found and (same := _repeated(rows)) is not None:
+                told = same[0] if len(same) == 1 else same
+                self.problem(f'vary."{key}"', f"has {told!r} twice; the two would be the same run")
+            found.setdefault(group, rows)
         return tuple(found.items())
 
     def overlaps(self, keys: Sequence[str]) -> None:
@@ -272,10 +295,6 @@ def _repeated(values: Sequence[Any]) -> Any:
     return next((value for i, value in enumerate(values) if value in values[:i]), None)
 
 
-def _is_direction(value: Mapping[str, Any]) -> bool:
-    return all(isinstance(part, float) for part in value.values())
-
-
 def _coordinates(table: Mapping[str, Any]) -> int:
     """How many numbers in (0, 1) one draw of a distribution takes."""
     return len(table["axes"]) if table["distribution"] == "direction" else 1
@@ -338,9 +357,9 @@ def _values(table: Mapping[str, Any], columns: Sequence[Array]) -> list[Any]:
     return [_direction(table, list(p)) for p in zip(*(column.tolist() for column in columns), strict=True)]
 
 
-def _direction(table: Mapping[str, Any], p: Sequence[float]) -> dict[str, float]:
+def _direction(table: Mapping[str, Any], p: Sequence[float]) -> Vector:
     """A vector in any direction, its length uniform from low to high."""
     length, angle = table["low"] + p[0] * (table["high"] - table["low"]), 2 * math.pi * p[1]
     height = 2 * p[2] - 1 if len(p) == 3 else 0.0  # Archimedes: uniform on the sphere
     flat = length * math.sqrt(1 - height * height)
-    return dict(zip(table["axes"], (flat * math.cos(angle), flat * math.sin(angle), length * height), strict=False))
+    return Vector(zip(table["axes"], (flat * math.cos(angle), flat * math.sin(angle), length * height), strict=False))

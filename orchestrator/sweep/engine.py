@@ -77,8 +77,8 @@ def sweep(
     storage = Storage(job.folder)
     runs = study.design.runs()
     ended = Ended(study, runs, storage)
-    with _locked(storage), _ctrl_c() as pressed:
-        _lay_out(study, storage)
+    with locked(storage), ctrl_c() as pressed:
+        lay_out(study, storage)
         try:
             with cluster.client(scheduler, workers) as client:
                 if scheduler is None:
@@ -103,7 +103,7 @@ def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threadin
     waiting = deque(ended.runs)
     alone: deque[Run] = deque()  # runs of batches that killed their workers: which of them is it?
     flying: dict[Any, list[Run]] = {}
-    spent, measured, began = 0.0, 0, time.monotonic()
+    spent, measured, began, told_to_stop = 0.0, 0, time.monotonic(), False
     while waiting or alone or flying:
         hands = max(1, len(client.nthreads()))
         while (waiting or alone) and len(flying) < AHEAD * hands and not ended.stopped:
@@ -113,8 +113,9 @@ def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threadin
         if pressed.is_set() or ended.stopped:
             waiting.clear()
             alone.clear()
-            client.run(worker.interrupt, token)
-            client.cancel([future for future in flying if future.status == "pending" and not pressed.is_set()])
+            if not told_to_stop:
+                client.run(worker.interrupt, token)  # batches that wait come back empty
+                told_to_stop = True
         if not flying:
             break
         with contextlib.suppress(TimeoutError):
@@ -146,7 +147,7 @@ def _size(seconds: float, waiting: int, hands: int) -> int:
     return max(1, min(int(BATCH_SECONDS / max(seconds, 1e-3)), waiting // (AHEAD * hands), waiting))
 
 
-def _lay_out(study: Study, storage: Storage) -> None:
+def lay_out(study: Study, storage: Storage) -> None:
     """The sweep's folder: what it is, the FMUs, and nothing left of processes that were killed."""
     _clear(storage)
     for digest, path in study.files.items():
@@ -163,7 +164,7 @@ def _clear(storage: Storage) -> None:
 
 
 @contextlib.contextmanager
-def _locked(storage: Storage) -> Iterator[None]:
+def locked(storage: Storage) -> Iterator[None]:
     """One process at a time runs a sweep; a remote folder is left to whoever shares it.  Raises StoreError."""
     folder = storage.local
     if folder is None:
@@ -191,7 +192,7 @@ def _locked(storage: Storage) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _ctrl_c() -> Iterator[threading.Event]:
+def ctrl_c() -> Iterator[threading.Event]:
     """Set by Ctrl-C."""
     pressed = threading.Event()
     if threading.current_thread() is not threading.main_thread():

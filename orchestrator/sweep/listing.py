@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..metrics import finite
 from ..show import columns_of, short
 from .design import labels
 from .engine import Ended
 from .storage import is_local
 from .study import Study
 from .table import TABLE
+from .tune import Outcome
 from .worker import FAILED
 
 FAILURES = 5  # that are named
@@ -55,6 +57,33 @@ def ended(ended: Ended) -> str:
 
 def ended_as_json(ended: Ended) -> dict[str, Any]:
     return {**_facts(ended), "notes": list(ended.study.notes)}
+
+
+def tuned(outcome: Outcome) -> str:
+    """What came of a search."""
+    head = ("controller", "trials", "pruned", "defaults", "tuned", "parameters")
+    rows = [
+        (one.fmu, str(one.trials), str(one.pruned), f"{one.default:.6g}", f"{one.best:.6g}",
+         ", ".join(f"{name} = {_shown(value)}" for name, value in one.parameters.items()))
+        for one in outcome.tuned
+    ]  # fmt: skip
+    lines = [f"study {outcome.tune_id}: {short(outcome.folder)}", *columns_of([head, *rows])]
+    if outcome.final is not None:
+        lines += [f"fragments: {short(outcome.folder / 'tuned.toml')}, and one a controller beside it", "",
+                  "on held-out draws:", ended(outcome.final)]  # fmt: skip
+    return "\n".join(lines)
+
+
+def tuned_as_json(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "tune_id": outcome.tune_id, "folder": str(outcome.folder),
+        "controllers": [
+            {"fmu": one.fmu, "trials": one.trials, "pruned": one.pruned, "parameters": dict(one.parameters),
+             **finite({"default": one.default, "best": one.best})}
+            for one in outcome.tuned
+        ],
+        "final": ended_as_json(outcome.final) if outcome.final is not None else None,
+    }  # fmt: skip
 
 
 def _facts(ended: Ended) -> Mapping[str, Any]:

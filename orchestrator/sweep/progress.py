@@ -34,6 +34,27 @@ class Progress:
             self._stream.flush()
 
 
+class Trials:
+    """Shows the trials of each controller and the best objective so far."""
+
+    def __init__(self, quiet: bool = False, stream: TextIO = sys.stderr):
+        self._stream = stream
+        self._on = stream.isatty() and not quiet
+        self._state: dict[str, str] = {}
+
+    def __call__(self, fmu: str, ended: int, trials: int, best: float) -> None:
+        if self._on:
+            self._state[fmu] = f"{fmu} {ended}/{trials} {best:.4g}"
+            self._stream.write("\r" + "  ".join(self._state.values()) + " \x1b[K")
+            self._stream.flush()
+
+    def done(self) -> None:
+        if self._state:
+            self._stream.write("\r\x1b[K")
+            self._stream.flush()
+            self._state.clear()
+
+
 def _clock(seconds: float) -> str:
     whole = round(seconds)
     return f"{whole // 60}:{whole % 60:02d}"

@@ -16,7 +16,7 @@ from ..experiment import Experiment, load, parse, split_key
 from ..metrics import smaller_is_better, unit_of
 from ..plan import Plan
 from . import design as designs
-from .design import Design, Run, labels
+from .design import Design, Run, cells_of, labels
 
 FORMAT = "orch-sweep"
 ID_LENGTH = 10
@@ -78,8 +78,9 @@ class Study:
         e, d = self.experiment, self.design
         return {
             "format": FORMAT, "format_version": 1, "sweep_id": self.sweep_id, "experiment": e.path.stem,
-            "title": e.title, "experiment_toml": e.text, "changes": e.changes, "draws": d.draws, "design": d.method,
-            "seed": d.seed, "keep": d.keep, "keys": self.keys, "labels": labels(self.keys),
+            "title": e.title, "experiment_toml": e.text, "changes": e.changes, "draws": d.draws,
+            "skip": d.skip, "design": d.method, "seed": d.seed, "keep": d.keep, "keys": self.keys,
+            "labels": labels(self.keys),
             "lists": [[list(keys), [list(row) for row in rows]] for keys, rows in d.lists],
             "distributions": d.distributions, "fmus": self.fmus,
             "metrics": [{"name": c.name, "of": c.of, "unit": c.unit, "ranked": c.ranked} for c in self.columns],
@@ -122,7 +123,7 @@ def changes(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     FMU included: each FMU is at its defaults unless the sweep says otherwise.
     """
     swaps = {parts[1]: value for key, value in values.items() if (parts := _swapped(key))}
-    return {key: value for key, value in values.items() if not _swapped(key)}, swaps
+    return {key: value for key, value in cells_of(values).items() if not _swapped(key)}, swaps
 
 
 def _swapped(key: str) -> list[str]:
@@ -143,7 +144,7 @@ def _plans(
 ) -> list[Plan]:
     """The first draw of every combination.  Raises ExperimentError with the problems of all."""
     first = replace(design, draws=1) if design.method != "lhs" else design
-    runs = [run for run in first.runs() if run.draw == 0]
+    runs = [run for run in first.runs() if run.draw == design.skip]
     laid = []
     for run in runs:
         sets, swaps = changes(run.values)

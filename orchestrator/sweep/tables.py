@@ -68,13 +68,13 @@ def _probability(p: float) -> str:
     return "< 1e-4" if p < 1e-4 else f"{p:.4f}" if p < 0.0995 else f"{p:.2f}"
 
 
-def legend(analysis: Analysis) -> list[str]:
+def legend(analysis: Analysis, pairs: bool = True) -> list[str]:
     """What the columns are, and what weakens them."""
     table = analysis.table
     lines = [f"sweep {table.sweep_id}: {table.description['draws']} draws ({table.description['design']}, seed "
              f"{table.description['seed']}), the same for every value of {analysis.by}"]  # fmt: skip
     lines.append("mean with its 95 % bootstrap interval (BCa)")
-    if analysis.pairs:
+    if pairs and analysis.pairs:
         lines[-1] += f"; Wilcoxon's signed-rank test on paired draws, Holm-corrected over {len(analysis.pairs)} "
         lines[-1] += f"comparisons, at {LEVEL:g}; effect: rank-biserial, -1 where first is smaller in every draw"
     return lines + [f"note: {note}" for note in analysis.notes]
@@ -89,7 +89,7 @@ def table(analysis: Analysis, pairs: bool = True) -> str:
             for row, bold in zip(grid.rows, grid.bold, strict=True)
         ]
         blocks.append("\n".join([*([grid.title] if grid.title else []), *columns_of([tuple(grid.head), *rows])]))
-    return "\n\n".join([*blocks, "\n".join(legend(analysis))])
+    return "\n\n".join([*blocks, "\n".join(legend(analysis, pairs))])
 
 
 def markdown(analysis: Analysis, pairs: bool = True) -> str:
@@ -101,7 +101,7 @@ def markdown(analysis: Analysis, pairs: bool = True) -> str:
         ]
         rule = ["---"] * grid.left + ["---:"] * (len(grid.head) - grid.left)
         blocks.append("\n".join("| " + " | ".join(line) + " |" for line in [grid.head, rule, *rows]))
-    return "\n\n".join([*blocks, *legend(analysis)])
+    return "\n\n".join([*blocks, *legend(analysis, pairs)])
 
 
 def latex_text(analysis: Analysis, pairs: bool = True) -> str:
@@ -110,7 +110,7 @@ def latex_text(analysis: Analysis, pairs: bool = True) -> str:
     blocks = []
     for grid in grids(analysis, pairs):
         lines = [r"% \usepackage{booktabs}", r"\begin{table}", r"  \centering",
-                 rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis)))}.}}",
+                 rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis, pairs)))}.}}",
                  rf"  \begin{{tabular}}{{{'l' * grid.left}{'r' * (len(grid.head) - grid.left)}}}",
                  r"    \toprule", _row(grid.head, False), r"    \midrule"]  # fmt: skip
         last = ""
