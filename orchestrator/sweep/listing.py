@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..columns import columns_of
 from ..metrics import finite
-from ..show import columns_of, short
+from ..show import short
 from .design import labels
 from .engine import Ended
 from .storage import is_local

@@ -107,6 +107,10 @@ def prepare(
     if problems:
         raise ExperimentError(path, [*experiment.problems, *problems])
     plans = _plans(experiment, design, packaging, told)
+    live = sorted({part.name for plan in plans for part in plan.parts if part.live})
+    if live:
+        raise ExperimentError(path, [Problem(f"components.{name}", "is steered from outside; runs of a sweep must give "
+                              "the same numbers again") for name in live])  # fmt: skip
     fmus = {part.fmu_name: part.fmu.sha256 for plan in plans for part in plan.parts}
     files = {part.fmu.sha256: part.fmu.path for plan in plans for part in plan.parts}
     deciding = {"runs": [plan.digest for plan in plans], **design.identity}

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from html import escape
 
 from .. import latex
+from ..columns import columns_of
 from ..compare import digits
-from ..show import columns_of
 from .analysis import LEVEL, Analysis, Pair, Summary
 
 NO_NUMBER = "-"
