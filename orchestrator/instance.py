@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -27,7 +28,7 @@ CO_SIMULATION = 1  # fmi2Type
 TERMINATED = 3  # fmi2StatusKind
 
 _ENVIRONMENTS = itertools.count(1)
-_MESSAGES: dict[int, deque[str]] = {}  # by environment
+_MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of live instances, by environment
 
 
 class CallFailed(Exception):

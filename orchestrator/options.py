@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -46,11 +47,16 @@ def prepared(
     from .experiment import load
     from .wiring import prepare
 
-    loaded = load(experiment, _pairs("--set", sets), _swaps(swaps))
+    loaded = load(experiment, pairs("--set", sets), swaps_of(swaps))
+    if loaded.sweep:
+        from .sweep import design
+
+        found = design.read(loaded.sweep)[1]
+        loaded = dataclasses.replace(loaded, problems=(*loaded.problems, *found))
     return prepare(loaded, told, packaging)
 
 
-def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
+def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
     from .experiment import parse_value
 
     pairs = {}
@@ -62,7 +68,7 @@ def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
     return pairs
 
 
-def _swaps(texts: tuple[str, ...]) -> Mapping[str, str]:
+def swaps_of(texts: tuple[str, ...]) -> Mapping[str, str]:
     swaps = {}
     for text in texts:
         component, equals, fmu = text.partition("=")

@@ -26,6 +26,7 @@ import h5py
 import numpy as np
 
 from .errors import StoreError
+from .hdf5 import attach, describe
 from .loop import Block
 from .master import Outcome
 from .metrics import finite
@@ -48,12 +49,13 @@ class Recorder:
     Raises StoreError where the file is there already or cannot be written.
     """
 
-    def __init__(self, path: Path, plan: Plan, run_id: str):
+    def __init__(self, path: Path, plan: Plan, run_id: str, facts: Mapping[str, Any] | None = None):
+        """facts: root attributes that are known already, in place of those that would be found out."""
         self.path, self._plan = path, plan
         self._waiting: list[Block] = []
         self._rows = 0
         self.ticks = 0  # of the last row on disk
-        attributes = _attributes(plan, run_id)
+        attributes = _attributes(plan, run_id, facts or {})
         size = HEADER * (2 + len(plan.parts) + len(plan.recorded)) + 4 * sum(len(str(v)) for v in attributes.values())
         _claim(path, size + ROOM)
         try:
@@ -183,16 +185,17 @@ class Recorder:
 
     def _create(self, attributes: Mapping[str, Any]) -> None:
         plan, file = self._plan, self.file
-        file.attrs.update(attributes)
+        describe(file, attributes)
         rows = plan.steps // plan.stride + 1
         self._time = _dataset(file, "time", np.dtype(np.float64), rows)
         self._time.make_scale("time")
         self._time.attrs.update({"units": "s", "long_name": "simulated time"})
         for part in plan.parts:
             group = file.create_group(part.name, track_order=True)
-            group.attrs.update(
+            describe(
+                group,
                 {"fmu": part.fmu_name, "fmu_sha256": part.fmu.sha256, "fmi_version": part.fmu.fmi_version,
-                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))}
+                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))},
             )  # fmt: skip
         self._datasets: dict[str, list[Any]] = {}
         references = []
@@ -201,7 +204,7 @@ class Recorder:
             dataset = _dataset(group, name, np.dtype(STORED.get(variable.kind, DTYPES[variable.kind])), rows, shape)
             attributes = {"units": variable.unit or "1", "long_name": variable.description or name,
                           "causality": variable.causality}  # fmt: skip
-            dataset.attrs.update(attributes)
+            describe(dataset, attributes)
             scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(shape, 1)]
             for i, scale in enumerate(scales, 1):
                 scale.make_scale(f"{name}_dim{i}")
@@ -224,7 +227,7 @@ def _datasets_of(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
             yield component, variable, variable.shape
 
 
-def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
+def _attributes(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str, Any]:
     """What is known of a run before it begins."""
     experiment = plan.experiment
     attributes = {
@@ -232,7 +235,8 @@ def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
         "status": "running", "error": "", "created": _now(), "wall_time": math.nan, "real_time_factor": math.nan,
         "algorithm": experiment.master.algorithm, "step": experiment.master.step, "experiment": experiment.path.stem,
         "experiment_toml": experiment.text, "experiment_resolved": json.dumps(plan.resolved),
-        "versions": json.dumps(versions()), "git_commit": git_commit(experiment.path.parent),
+        "versions": facts["versions"] if "versions" in facts else json.dumps(versions()),
+        "git_commit": facts["git_commit"] if "git_commit" in facts else git_commit(experiment.path.parent),
         "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
         "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
         "metrics": "{}", "warnings": "[]", "timing": "{}",
@@ -241,7 +245,7 @@ def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
     }  # fmt: skip
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed
-    return attributes
+    return {**attributes, **facts}
 
 
 def _claim(path: Path, size: int) -> None:
@@ -309,7 +313,7 @@ def _attach_scales(dataset: Any, scales: Sequence[Any]) -> None:
     value = np.empty((len(scales),), dtype=object)
     for i, scale in enumerate(scales):
         value[i] = np.array([scale.ref], dtype=h5py.ref_dtype)
-    dataset.attrs.create("DIMENSION_LIST", value, dtype=h5py.vlen_dtype(h5py.ref_dtype))
+    attach(dataset, "DIMENSION_LIST", value, h5py.vlen_dtype(h5py.ref_dtype))
 
 
 def versions() -> dict[str, str]:

@@ -198,8 +198,8 @@ class Store:
                 raise StoreError(f"{self.folder} holds no record; run an experiment first")
             return records[-1]
         found = [p for p in records if p.stem == run] or [p for p in records if p.stem.startswith(run)]
-        if len(found) == 1:
-            return found[0]
+        if found and len({p.stem for p in found}) == 1:  # sweeps share runs: the record that holds most of it
+            return max(found, key=lambda p: p.stat().st_size)
         if found:
             raise StoreError(f"{run!r} means several records: {', '.join(map(str, found[:6]))}; give more of the id")
         near = did_you_mean(run, [p.stem for p in records], "there are")

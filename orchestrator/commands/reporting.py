@@ -10,12 +10,26 @@ from ..options import results_option
 
 
 @click.command()
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.argument("runs", metavar="RUN...", nargs=-1)
+@click.option("--sweep", metavar="SWEEP", help="A sweep instead, by its id or as last: statistics and figures.")
 @click.option("--output", "-o", metavar="FILE", help="The HTML file; default: beside the record, as .html")
 @results_option
-def report(runs: tuple[str, ...], output: str | None, results: str) -> None:
+def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results: str) -> None:
     """Write runs as one HTML page: replay, plots, metrics.  RUN: an id, a prefix of one, a file, or "last"."""
     from .. import show
+
+    if sweep is not None:
+        if runs:
+            raise click.UsageError("--sweep reports a sweep: give no RUN beside it")
+        from ..sweep import analysis, page, table
+
+        found = table.find(results, sweep)
+        local = found.storage.local or Path()
+        target = Path(output) if output else local / "report.html"
+        click.echo(show.short(page.write(analysis.analyse(found), target)))
+        return
+    if not runs:
+        raise click.UsageError("say which runs, or which --sweep")
     from ..report.page import write
     from ..store import Store, open_run
 

@@ -1,0 +1,1 @@
+"""Many runs of one experiment: designed, run on many processes, and judged by paired statistics."""

@@ -1,0 +1,474 @@
+"""Sweeps: the design, the runs on Dask's processes, what resuming finds, and the statistics."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import DEADLINE, ORCH
+from scipy import stats
+
+from orchestrator.sweep.design import read
+
+FMU = "components.controller.fmu"
+FAST = "components.current.parameters.velocity"
+MASS = "components.vehicle.parameters.m"
+UNIFORM = {"distribution": "uniform", "low": 8.0, "high": 12.0}
+DIRECTION = {"distribution": "direction", "axes": ["x", "y"], "low": 0.0, "high": 1.0}
+
+
+@pytest.fixture
+def sweep(spiral):
+    """The short spiral with a [sweep]: two controllers, three draws of current and mass."""
+    spiral["metrics"] = {name: spiral["metrics"][name] for name in ("rmse_x", "rms_T1")}
+    spiral["sweep"] = {"draws": 3, "seed": 7, "vary": {FMU: ["pid", "mfsosmc"], FAST: DIRECTION, MASS: UNIFORM}}
+    return spiral
+
+
+def design_of(**changes):
+    design, problems = read({"draws": 16, "vary": {MASS: UNIFORM, FAST: DIRECTION}, **changes})
+    assert problems == []
+    return [dict(run.values) for run in design.runs()]
+
+
+# --- the design -----------------------------------------------------------------------------------------------------
+
+
+def test_every_controller_meets_the_same_draws(orch, sweep, write):
+    runs = orch("sweep", write(sweep), "--dry-run", "--json").json["runs"]
+    assert [run["values"][FMU] for run in runs] == ["pid", "mfsosmc"] * 3
+    for one, other in zip(runs[::2], runs[1::2], strict=True):
+        assert one["draw"] == other["draw"]
+        assert {**one["values"], FMU: ""} == {**other["values"], FMU: ""}
+
+
+@pytest.mark.parametrize("method", ["random", "sobol"])
+def test_more_draws_begin_with_the_same_ones(method):
+    assert design_of(design=method, draws=64)[:16] == design_of(design=method)
+
+
+@pytest.mark.parametrize("method", ["random", "lhs", "sobol"])
+def test_the_order_of_the_keys_does_not_matter(method):
+    assert design_of(design=method, vary={FAST: DIRECTION, MASS: UNIFORM}) == design_of(design=method)
+
+
+def test_skipped_draws_are_those_that_would_have_come_first():
+    assert design_of(skip=5, draws=11) == design_of()[5:]
+
+
+def test_another_seed_gives_other_draws():
+    assert not {run[MASS] for run in design_of(seed=1)} & {run[MASS] for run in design_of(seed=2)}
+
+
+def test_the_draws_of_a_seed_are_these_for_good():
+    # Streams are raw bits of PCG64, which numpy promises to keep; a change here makes every sweep another one.
+    first = design_of(seed=1)[0]
+    assert first[MASS] == 11.05282132698173
+    direction = {"x": 0.18384754573744558, "y": -0.08363662417330071}
+    assert first[FAST] == pytest.approx(direction, rel=1e-14)  # a libm's cosine
+
+
+@pytest.mark.parametrize("method", ["random", "lhs", "sobol"])
+def test_distributions_are_what_they_say(method):
+    vary = {
+        "a.uniform": UNIFORM,
+        "a.loguniform": {"distribution": "loguniform", "low": 0.01, "high": 100.0},
+        "a.normal": {"distribution": "normal", "mean": 1.0, "std": 0.2},
+        "a.integer": {"distribution": "integer", "low": 1, "high": 4},
+        "a.choice": {"distribution": "choice", "values": ["x", "y"]},
+        "a.direction": {"distribution": "direction", "axes": ["x", "y", "z"], "low": 0.5, "high": 1.0},
+    }
+    runs = design_of(design=method, draws=1024, vary=vary)
+    column = {key: [run[key] for run in runs] for key in vary}
+    # 1 024 draws of a known distribution: a Kolmogorov-Smirnov test refuses one seed of a thousand.
+    assert stats.kstest(column["a.uniform"], stats.uniform(8, 4).cdf).pvalue > 1e-3
+    assert stats.kstest(np.log10(column["a.loguniform"]), stats.uniform(-2, 4).cdf).pvalue > 1e-3
+    assert stats.kstest(column["a.normal"], stats.norm(1, 0.2).cdf).pvalue > 1e-3
+    vectors = np.array([list(value.values()) for value in column["a.direction"]])
+    lengths = np.linalg.norm(vectors, axis=1)
+    assert stats.kstest(lengths, stats.uniform(0.5, 0.5).cdf).pvalue > 1e-3
+    for axis in (vectors / lengths[:, None]).T:  # each coordinate of a direction on the sphere is uniform
+        assert stats.kstest(axis, stats.uniform(-1, 2).cdf).pvalue > 1e-3
+    assert set(column["a.integer"]) == {1, 2, 3, 4}
+    assert stats.binomtest(column["a.choice"].count("x"), 1024).pvalue > 1e-3
+
+
+def test_a_latin_hypercube_has_one_draw_in_each_cell():
+    masses = [run[MASS] for run in design_of(design="lhs", draws=20)]
+    assert sorted(int((mass - 8) / 4 * 20) for mass in masses) == list(range(20))
+
+
+def test_zipped_lists_change_together(orch, sweep, write):
+    sweep["sweep"]["vary"]["master.step"] = [1e-3, 5e-4]
+    sweep["sweep"]["zip"] = [[FMU, "master.step"]]
+    runs = orch("sweep", write(sweep), "--dry-run", "--json", "--set", "sweep.draws=1").json["runs"]
+    assert [(run["values"][FMU], run["values"]["master.step"]) for run in runs] == [("pid", 1e-3), ("mfsosmc", 5e-4)]
+
+
+def test_all_problems_of_a_sweep_are_told_at_once(orch, sweep, write):
+    sweep["sweep"] |= {"draw": 3, "design": "sobl", "zip": [["nobody"]]}
+    sweep["sweep"]["vary"] |= {"master.seed": {"distribution": "unifrm"}, MASS: {**UNIFORM, "low": 20.0}, FMU: []}
+    for command in ("sweep", "check"):
+        answer = orch(command, write(sweep))
+        assert answer.code == 2
+        assert "5 problems" not in answer.err
+        for words in ("did you mean 'draws'", "did you mean 'sobol'", "did you mean 'uniform'", "not below high = 12.0",
+                      "is an empty list", "no list 'nobody'"):  # fmt: skip
+            assert words in answer.err
+
+
+def test_problems_of_a_combination_say_where(orch, sweep, write):
+    sweep["sweep"]["vary"][FMU] = ["pid", "pidd"]
+    sweep["sweep"]["vary"]["components.vehicl.parameters.m"] = UNIFORM
+    answer = orch("sweep", write(sweep))
+    assert answer.code == 2
+    assert "no FMU 'pidd'; did you mean 'pid'" in answer.err
+    assert "no component 'vehicl'; did you mean 'vehicle'" in answer.err
+    assert not any(Path(write(sweep)).parent.glob("results*"))
+
+
+def test_what_varies_cannot_be_set_beside_it(orch, sweep, write):
+    answer = orch("sweep", write(sweep), "--set", f"{MASS}=3", "--swap", "controller=pid")
+    assert answer.code == 2
+    assert answer.err.count("varies in the sweep") == 2
+
+
+# --- runs -----------------------------------------------------------------------------------------------------------
+
+
+def table_of(folder):
+    return next(Path(folder).glob("*/table.csv")).read_bytes()
+
+
+def test_a_sweep_is_ordinary_runs_and_is_not_repeated(orch, sweep, write, tmp_path):
+    path = write(sweep)
+    done = orch("sweep", path, "--json").json
+    assert (done["completed"], done["failed"], done["missing"], done["reused"]) == (6, 0, 0, 0)
+    lines = Path(done["table"]).read_text().splitlines()
+    cells = dict(zip(lines[0].split(","), lines[4].split(","), strict=True))
+    assert (cells[FMU], cells["draw"], cells["status"]) == ("mfsosmc", "1", "completed")
+    drawn = [f"{key}={cells[key]}" for key in cells if key.startswith((FAST, MASS))]
+    alone = orch("run", path, "--json", "--results", "alone", "--swap", f"controller={cells[FMU]}",
+                 *(word for text in drawn for word in ("--set", text))).json  # fmt: skip
+    assert alone["run_id"] == cells["run_id"]
+    assert {name: repr(value) for name, value in alone["metrics"].items()} == {n: cells[n] for n in alone["metrics"]}
+    listed = {run["run_id"] for run in orch("list", "--json").json}
+    assert listed == {line.split(",")[6] for line in lines[1:]}
+    again = orch("sweep", path, "--json").json
+    assert (again["sweep_id"], again["reused"]) == (done["sweep_id"], 6)
+    assert Path(again["table"]).read_text().splitlines() == lines
+
+
+@pytest.mark.slow
+def test_only_verified_complete_records_count_as_there(orch, sweep, write, tmp_path):
+    path = write(sweep)
+    done = orch("sweep", path, "--json").json
+    before = table_of("results" and tmp_path / "results")
+    records = sorted(Path(done["folder"]).glob("*.h5"))
+    with records[0].open("r+b") as file:
+        file.truncate(records[0].stat().st_size // 2)
+    with h5py.File(records[1], "r+") as file:
+        file.attrs["status"] = "failed"
+    with h5py.File(records[2], "r+") as file:
+        file.attrs["digest"] = "0" * 64
+    with h5py.File(records[3], "r+") as file:
+        file["vehicle/eta.x"].resize((2,))
+    records[4].unlink()
+    Path(done["table"]).unlink()
+    again = orch("sweep", path, "--json").json
+    assert (again["completed"], again["reused"]) == (6, 1)
+    assert table_of(tmp_path / "results") == before
+
+
+@pytest.mark.slow
+def test_what_is_kept_does_not_change_the_numbers(orch, sweep, write, tmp_path):
+    sweep["master"]["stop_time"] = 6.0
+    sweep["sweep"]["draws"] = 1
+    path = write(sweep)
+    tables, rows = {}, {}
+    for keep in ("full", "decimated", "metrics"):
+        done = orch("sweep", path, "--json", "--set", f"sweep.keep={keep}", "--results", keep).json
+        tables[keep] = table_of(tmp_path / keep)
+        with h5py.File(next(Path(done["folder"]).glob("*.h5"))) as file:
+            rows[keep] = len(file["time"])
+            assert file.attrs.get("kept", "full") == keep
+            assert file["time"][-1:].tolist() in ([], [6.0])
+    assert tables["full"] == tables["decimated"] == tables["metrics"]
+    assert rows == {"full": 601, "decimated": 301, "metrics": 0}
+    again = orch("sweep", path, "--json", "--set", "sweep.keep=full", "--results", "metrics").json
+    assert again["reused"] == 0
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_recorded_and_stops_no_other(orch, probe, write, tmp_path):
+    parameters = {"mode": [1, 0, 9], "at": [0.02, 0.03]}
+    table = {
+        "master": {"stop_time": 0.05, "step": 0.01},
+        "components": {"probe": {"fmu": str(probe), "start": "fmu"}},
+        "metrics": {"last": {"of": "final", "signal": "probe.y"}},
+        "sweep": {"vary": {f"components.probe.parameters.{n}": v for n, v in parameters.items()}},
+    }
+    path = write(table)
+    answer = orch("sweep", path, "--json")
+    assert answer.code == 3
+    assert (answer.json["completed"], answer.json["failed"]) == (4, 2)
+    text = Path(answer.json["table"]).read_text()
+    assert text.count("the probe lost its mind") == 2
+    failed = [run for run in orch("list", "--json").json if run["status"] == "failed"]
+    assert len(failed) == 2
+    fast = orch("sweep", path, "--json", "--fail-fast", "--workers", "1", "--results", "fast")
+    assert fast.code == 3
+    assert fast.json["status"] == "stopped"
+    assert fast.json["missing"] > 0
+
+
+def long(sweep, write, draws=24):
+    """A sweep of `draws` x 2 runs, of about 0.1 s each."""
+    sweep["master"]["stop_time"] = 60.0
+    sweep["metrics"] = {"rmse_x": sweep["metrics"]["rmse_x"]}
+    sweep["sweep"] |= {"draws": draws, "keep": "metrics"}
+    return write(sweep)
+
+
+def begin(path, results, *more):
+    return subprocess.Popen([ORCH, "sweep", path, "--results", results, "--json", *more], cwd=Path(path).parent,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
+
+
+def wait_for_records(folder, n):
+    until = time.monotonic() + DEADLINE
+    while len(list(Path(folder).glob("*/*.h5"))) < n:
+        assert time.monotonic() < until, "no record appears"
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+def test_a_sweep_interrupted_and_resumed_ends_with_the_same_table(orch, sweep, write, tmp_path):
+    path = long(sweep, write)
+    assert orch("sweep", path, "--results", "whole").code == 0
+    process = begin(path, "parts")
+    wait_for_records(tmp_path / "parts", 7)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    first = json.loads(out)
+    assert 0 < first["completed"] < 48
+    again = orch("sweep", path, "--results", "parts", "--json").json
+    assert again["reused"] == first["completed"]
+    assert table_of(tmp_path / "parts") == table_of(tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").exists(), reason="finds the worker in /proc")
+def test_a_worker_killed_in_the_middle_loses_nothing(orch, sweep, write, tmp_path):
+    path = long(sweep, write)
+    assert orch("sweep", path, "--results", "whole").code == 0
+    process = begin(path, "killed")
+    wait_for_records(tmp_path / "killed", 7)
+    os.kill(workers_of(process.pid)[0], signal.SIGKILL)
+    out, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 0, err
+    assert json.loads(out)["completed"] == 48
+    assert table_of(tmp_path / "killed") == table_of(tmp_path / "whole")
+    assert not list((tmp_path / "killed").glob("*/.part*"))
+
+
+def workers_of(pid):
+    """The processes that a sweep has started and that run FMUs."""
+    children = [int(n) for task in Path(f"/proc/{pid}/task").iterdir() for n in (task / "children").read_text().split()]
+    return [n for n in children if "spawn_main" in Path(f"/proc/{n}/cmdline").read_text()]
+
+
+@pytest.mark.slow
+def test_a_second_process_leaves_a_running_sweep_alone(orch, sweep, write, tmp_path):
+    path = long(sweep, write)
+    process = begin(path, "results")
+    wait_for_records(tmp_path / "results", 1)
+    answer = orch("sweep", path)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=DEADLINE)
+    assert answer.code == 2
+    assert f"process {process.pid} runs this sweep" in answer.err
+
+
+@pytest.mark.slow
+def test_a_cluster_started_by_hand_gives_the_same_table(orch, sweep, write, tmp_path):
+    path = long(sweep, write, draws=6)
+    assert orch("sweep", path, "--results", "here").code == 0
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "dask"]
+    commands = [[*dask, "scheduler", "--host", address, "--no-dashboard"]]
+    commands += [[*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]] * 2
+    log = (tmp_path / "dask.log").open("w")
+    processes = [subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log) for command in commands]
+    try:
+        on_folder = orch("sweep", path, "--results", "there", "--scheduler", address, "--json")
+        assert on_folder.code == 0, on_folder.err + (tmp_path / "dask.log").read_text()
+        by_url = orch("sweep", path, "--results", (tmp_path / "url").as_uri(), "--scheduler", address)
+        assert by_url.code == 0, by_url.err
+    finally:
+        for process in processes[::-1]:
+            process.terminate()
+        for process in processes:
+            process.wait(DEADLINE)
+        log.close()
+    assert table_of(tmp_path / "there") == table_of(tmp_path / "url") == table_of(tmp_path / "here")
+
+
+@pytest.mark.slow
+def test_memory_stays_flat_over_runs(python, sweep, write, tmp_path):
+    """In the process of a worker: what the first runs take is kept, what follows adds nothing."""
+    path = write({**sweep, "sweep": {**sweep["sweep"], "draws": 150}})
+    answer = python(f"""
+import os
+from orchestrator.sweep import engine, study, worker
+from orchestrator.sweep.storage import Storage
+
+made = study.prepare({str(path)!r})
+job = made.job({str(tmp_path / "m")!r}, {{"git_commit": "", "command": "[]"}})
+storage = Storage(job.folder)
+os.makedirs(job.folder)
+engine.lay_out(made, storage)
+runs = made.design.runs()
+
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def libraries():
+    return len({{line.split()[-1] for line in open("/proc/self/maps") if line.rstrip().endswith(".so")}})
+
+
+worker.batch("t", job, runs[:100], False)
+before = resident(), libraries()
+worker.batch("t", job, runs[100:], False)
+print(resident() - before[0], libraries() - before[1])
+""")
+    grown, libraries = map(float, answer.out.split())
+    # 200 runs: an FMU that stayed loaded would add five libraries a run, of 0.1 MB each and more.
+    assert libraries == 0
+    assert grown < 4.0
+
+
+# --- statistics -----------------------------------------------------------------------------------------------------
+
+A = [1.0, 2.0, 4.0, 3.0, 5.0, 2.5, 3.5, 1.5]
+B = [1.5, 2.75, 5.5, 3.25, 6.25, 3.0, 4.5, 1.5]
+C = [3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 0.5, 2.0]
+
+
+@pytest.fixture
+def judged(tmp_path):
+    """A sweep of three controllers with known numbers, as files."""
+    folder = tmp_path / "results" / "known-0123456789"
+    folder.mkdir(parents=True)
+    keys = [FMU, "components.vehicle.parameters.m", "components.vehicle.parameters.d"]
+    description = {
+        "format": "orch-sweep", "format_version": 1, "sweep_id": "0123456789", "experiment": "known", "title": "Known",
+        "experiment_toml": "title = 'Known'", "changes": {}, "draws": 8, "skip": 0, "design": "random", "seed": 1,
+        "keep": "metrics", "keys": keys,
+        "labels": dict(zip(keys, ["controller.fmu", "vehicle.m", "vehicle.d"], strict=True)),
+        "lists": [[[FMU], [["a"], ["b"], ["c"]]]], "distributions": {}, "fmus": {},
+        "metrics": [{"name": "rmse", "of": "rmse", "unit": "m", "ranked": True}],
+    }  # fmt: skip
+    (folder / "sweep.json").write_text(json.dumps(description))
+    lines = [",".join(["run", "draw", *keys, "run_id", "status", "rmse", "error"])]
+    for i, row in enumerate(zip(A, B, C, strict=True)):
+        for k, (name, value) in enumerate(zip("abc", row, strict=True)):
+            lines.append(f"{3 * i + k},{i},{name},{8 + i},{i * i % 7},{i}{k},completed,{value},")
+    lines.append("24,8,a,9,9,x,completed,9.0,")
+    lines.append("25,8,b,9,9,,failed,,it broke")
+    lines.append("26,8,c,9,9,,failed,,it broke")
+    (folder / "table.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_statistics_are_those_of_scipy(orch, judged):
+    found = orch("compare", "--sweep", "0123", "--json").json
+    a, b = found["summaries"][:2]
+    assert (a["n"], a["mean"], a["median"]) == (9, np.mean([*A, 9.0]), 3.0)
+    assert b["std"] == pytest.approx(np.std(B, ddof=1), rel=1e-12)
+    assert b["ci95"][0] < b["mean"] < b["ci95"][1]
+    pairs = {(p["first"], p["second"]): p for p in found["pairs"]}
+    numbers = {"a": A, "b": B, "c": C}
+    raw = {pair: stats.wilcoxon(np.subtract(*(numbers[n] for n in pair)), zero_method="pratt").pvalue for pair in pairs}
+    for pair, p in pairs.items():
+        assert p["n"] == 8  # the draw that two controllers did not survive is no pair
+        assert p["p"] == pytest.approx(raw[pair], rel=1e-12)
+        assert p["difference"] == pytest.approx(np.mean(numbers[pair[0]]) - np.mean(numbers[pair[1]]), rel=1e-12)
+    smallest, middle, largest = sorted(raw.values())
+    corrected = [p["p_holm"] for p in sorted(found["pairs"], key=lambda p: p["p"])]
+    holm = np.minimum(1, np.maximum.accumulate([3 * smallest, 2 * middle, largest]))
+    assert corrected == pytest.approx(holm, rel=1e-12)
+    assert pairs["a", "b"]["effect"] == -1.0  # a is smaller wherever they differ
+    assert pairs["a", "b"]["smaller"] == ("a" if pairs["a", "b"]["p_holm"] < 0.05 else None)
+    assert found["failures"] == {"a": 0, "b": 1, "c": 1}
+    assert orch("compare", "--sweep", "last", "--json").json == found
+
+
+def test_a_sweep_is_compared_in_markdown_and_latex(orch, judged, tmp_path):
+    assert orch("compare", "--sweep", "known", "-o", "t.md").code == 0
+    lines = (tmp_path / "t.md").read_text().splitlines()
+    assert lines[0] == "| metric | controller.fmu | n | mean | 95 % interval | std | median |"
+    assert re.match(r"\| rmse \[m\] \| a \| 9 \| 3\.500 \|", lines[2])
+    assert re.match(r"\| rmse \[m\] \| c \| 8 \| \*\*2\.938\*\* \|", lines[4])
+    assert any("left out of the statistics: b 1, c 1" in line for line in lines)
+    text = orch("compare", "--sweep", "known", "--format", "latex").out
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
+    assert r"\textbf{2.938}" in text
+    assert orch("compare", "--sweep", "known", "--no-pairs").out.count("first") == 0
+
+
+def test_what_a_sweep_does_not_have_is_told_with_the_nearest(orch, judged):
+    for arguments, words in [
+        (["--sweep", "0123456798"], "did you mean '0123456789'"),
+        (["--sweep", "last", "--metrics", "rsme"], "did you mean 'rmse'"),
+        (["--sweep", "last", "--by", "controler.fmu"], "did you mean 'controller.fmu'"),
+        (["--sweep", "last", "--plot", "x.png", "--kind", "heatmap", "--over", "vehicle.n"], "did you mean 'vehicle."),
+    ]:
+        answer = orch("compare", *arguments)
+        assert answer.code == 2
+        assert words in answer.err
+
+
+@pytest.mark.slow
+def test_a_sweep_is_drawn_and_reported(orch, judged, tmp_path):
+    for kind in ("box", "violin", "ecdf", "heatmap", "parallel"):
+        answer = orch("compare", "--sweep", "last", "--plot", f"{kind}.png", "--kind", kind)
+        assert answer.code == 0, answer.err
+        assert (tmp_path / f"{kind}.png").read_bytes()[:4] == b"\x89PNG"
+    assert orch("report", "--sweep", "last", "-o", "one.html").code == 0
+    assert orch("report", "--sweep", "last", "-o", "two.html").code == 0
+    text = (tmp_path / "one.html").read_text()
+    assert text == (tmp_path / "two.html").read_text()
+    assert text.count("<svg") == 4
+    assert "<b>2.938</b>" in text
+    assert not re.search(r"(src|href)=\"https?:", text)
+
+
+def test_without_dask_a_sentence_says_what_to_install(python, sweep, write):
+    path = write(sweep)
+    answer = python(f"""
+import sys
+sys.modules["distributed"] = None
+from orchestrator.sweep import engine, study
+from orchestrator.errors import OrchError
+made = study.prepare({str(path)!r})
+try:
+    engine.sweep(made, "results")
+except OrchError as error:
+    print(error)
+""")
+    assert 'pip install "orch[sweep]"' in answer.out
