@@ -54,11 +54,33 @@ class Observer(Protocol):
     def progress(self, tick: int) -> None: ...
 
 
+class Watcher:
+    """An observer that looks at the system itself, between chunks: the ones below do nothing unless overridden."""
+
+    def rows(self, block: Block) -> None: ...
+
+    def progress(self, tick: int) -> None: ...
+
+    def opened(self, system: System) -> None:
+        """The system is initialized; its `tables` hold the values of each `progress`, to read."""
+
+    def limit(self, tick: int, last: int) -> int:
+        """Where a chunk from `tick` ends that would go on to `last`: after `tick`, at most there."""
+        return last
+
+    def facts(self) -> dict[str, Any]:
+        """What the record shall tell of it beside where the time went."""
+        return {}
+
+
 def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
     outcome = Outcome("completed")
     try:
         system.initialize()
+        for observer in observers:
+            if isinstance(observer, Watcher):
+                observer.opened(system)
         _step_all(system, observers, outcome, interrupt or Interrupt())
     except MemberFailed as failure:
         _fail(system, outcome, _cause(system, failure))
@@ -92,6 +114,7 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     alternations = Alternations(system)
     timing = Timing([part.period for part in system.plan.parts])
     loop = choose(system, alternations, timing, interrupt)
+    watchers = [observer for observer in observers if isinstance(observer, Watcher)]
     _hand_over(loop, observers)
     steps, chunk, largest = system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
@@ -99,7 +122,10 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
         while loop.ticks < steps and not interrupt.is_set():
             since = time.perf_counter()
             try:
-                loop.advance(min(steps, loop.ticks + chunk), CHUNK_SECONDS)
+                last = min(steps, loop.ticks + chunk)
+                for watcher in watchers:
+                    last = watcher.limit(loop.ticks, last)
+                loop.advance(last, CHUNK_SECONDS)
             finally:
                 outcome.ticks = loop.ticks
                 _hand_over(loop, observers)
@@ -110,6 +136,8 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     finally:  # a run that fails, or that an FMU ends, is judged too
         timing.stepping = time.perf_counter() - began
         outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks, loop.name)
+        for watcher in watchers:
+            outcome.timing |= watcher.facts()
         outcome.warnings += alternations.warnings(loop.ticks)
     if loop.ticks < steps:
         outcome.status = "interrupted"

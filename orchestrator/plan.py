@@ -37,13 +37,15 @@ class Link:
 
 @dataclass(frozen=True)
 class Plan:
-    """What will run.  `recorded`: component and variable of each signal."""
+    """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
+    table of values, too, for an observer."""
 
     experiment: Experiment
     parts: tuple[Part, ...]
     links: tuple[Link, ...]
     recorded: tuple[tuple[str, Variable], ...]
     notes: tuple[str, ...]
+    watched: tuple[tuple[str, Variable], ...] = ()
 
     @property
     def steps(self) -> int:

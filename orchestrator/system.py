@@ -37,6 +37,7 @@ class System:
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
+        self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
         self._names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
         self._folder = tempfile.TemporaryDirectory(prefix="orch-", ignore_cleanup_errors=True)
         try:
@@ -135,12 +136,14 @@ class System:
     def _wire(self) -> None:
         plan = self.plan
         sources = {(k.sink, k.input.name): (k.source, k.output.name) for k in plan.links}
-        read = {(k.source, k.output.name): k.output for k in plan.links} | {(c, v.name): v for c, v in plan.recorded}
+        read = {(k.source, k.output.name): k.output for k in plan.links} | {
+            (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
+        }
         outputs = _Ports((*key, v) for key, v in read.items() if v.causality != "input")
         # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
         driven = _Ports((k.sink, k.input.name, k.input) for k in plan.links)
         held = _Ports((*key, v) for key, v in read.items() if v.causality == "input" and key not in sources)
-        place: dict[tuple[str, str], int] = {}
+        place = self.places
 
         def reserve(part: Part, ports: _Ports) -> None:
             for kind in KINDS:

@@ -15,6 +15,7 @@ from . import build, metrics
 from .errors import ExperimentError, FmuError, Problem, did_you_mean
 from .experiment import Component, Experiment
 from .fmu import Fmu, Variable, read
+from .mavlink import settings as mavlink
 from .plan import Link, Part, Plan
 from .values import flatten
 
@@ -48,6 +49,7 @@ class _Resolver:
             self.unconnected(part, driven[part.name])
         recorded = self.recorded()
         self.check_metrics(recorded)
+        self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(parts))
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
         return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), tuple(self.notes))

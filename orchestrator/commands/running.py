@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
 
@@ -11,6 +12,8 @@ from ..options import (
     INTERRUPTED,
     changes_options,
     json_option,
+    live_of,
+    live_options,
     packaging_option,
     prepared,
     results_option,
@@ -19,17 +22,24 @@ from ..options import (
 )
 
 
-@click.command()
-@click.argument("experiment", metavar="EXPERIMENT.toml")
+@click.command(epilog="""\b
+Examples:
+  orch run experiments/gripping_currents.toml
+  orch run experiments/spiral_pid.toml --set master.stop_time=10 --swap controller=mfsosmc
+  orch run experiments/gripping_currents.toml --realtime --mavlink udpout:127.0.0.1:14550
+  orch run experiments/gripping_currents.toml --realtime 2 --mavlink 1=tcpin:127.0.0.1:5760
+""")
+@click.argument("experiment", metavar="EXPERIMENT.toml", required=False)
 @changes_options
 @packaging_option
 @click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
 @results_option
 @click.option("--force", is_flag=True, help="Run again although the record is there.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@live_options
 @json_option
 def run(
-    experiment: str,
+    experiment: str | None,
     sets: tuple[str, ...],
     swaps: tuple[str, ...],
     packaging: str,
@@ -38,6 +48,7 @@ def run(
     force: bool,
     quiet: bool,
     as_json: bool,
+    **live: Any,
 ) -> int:
     """Run an experiment and record it."""
     from .. import show
@@ -45,15 +56,20 @@ def run(
     from ..runner import execute
 
     told = silent if quiet or as_json else tell
+    experiment, asked = live_of(experiment, **live)
     try:
         plan = prepared(experiment, sets, swaps, told, packaging)
         for note in plan.notes:
             told(f"note: {note}")
         progress = Progress(plan)
-        try:
-            result = execute(plan, output, results, force, [] if quiet or as_json else [progress])
-        finally:
-            progress.done()
+        with asked.observing(plan) as (plan, observers):
+            try:
+                shown = [] if quiet or as_json else [progress]
+                result = execute(plan, output, results, force or bool(observers), [*shown, *observers])
+            finally:
+                progress.done()
+        for note in asked.after(result.file):
+            told(note)
     except OrchError as error:
         if as_json:
             click.echo(json.dumps(show.not_started(error)))

@@ -1,0 +1,58 @@
+"""A simulated ArduSub: what it is and in which state, apart from where it is."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from .frame import Frame
+from .parameters import Parameters
+from .sample import Sample
+
+if TYPE_CHECKING:
+    from .control import Control
+
+VERSION = (4, 5, 3)
+HASH = "orch-sim"  # eight characters, where ArduPilot has those of its commit
+BANNER = (f"ArduSub V{'.'.join(map(str, VERSION))} ({HASH})", "Frame: VECTORED")
+
+# custom_mode of ArduSub
+MODES = {
+    "STABILIZE": 0, "ACRO": 1, "ALT_HOLD": 2, "AUTO": 3, "GUIDED": 4, "CIRCLE": 7, "SURFACE": 9, "POSHOLD": 16,
+    "MANUAL": 19, "MOTOR_DETECT": 20, "SURFTRAK": 21,
+}  # fmt: skip
+MODE_NAMES = {number: name for name, number in MODES.items()}
+GUIDING = (MODES["AUTO"], MODES["GUIDED"], MODES["CIRCLE"], MODES["POSHOLD"])  # ArduSub's base_mode()
+
+CUSTOM, STABILIZE, MANUAL_INPUT, GUIDED, ARMED = 1, 16, 64, 8, 128  # MAV_MODE_FLAG
+STANDBY, ACTIVE = 3, 4  # MAV_STATE
+
+
+@dataclass
+class Autopilot:
+    """component: the vehicle's name in the experiment; frame: None where it has no thruster matrix; control: where
+    steering goes, None where nobody listens; latest: None before the first sample."""
+
+    system: int
+    component: str
+    parameters: Parameters
+    origin: tuple[float, float]
+    frame: Frame | None = None
+    control: Control | None = None
+    mode: int = MODES["GUIDED"]
+    armed: bool = True
+    latest: Sample | None = None
+    started: float = field(default_factory=time.monotonic)
+
+    @property
+    def base_mode(self) -> int:
+        return CUSTOM | STABILIZE | MANUAL_INPUT | ARMED * self.armed | GUIDED * (self.mode in GUIDING)
+
+    @property
+    def status(self) -> int:
+        return ACTIVE if self.armed else STANDBY
+
+    def directions(self) -> list[float]:
+        """MOT_n_DIRECTION of motors 1 to 6: 1 or -1."""
+        return [-1.0 if self.parameters[f"MOT_{n}_DIRECTION"] < 0 else 1.0 for n in range(1, 7)]
