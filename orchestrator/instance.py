@@ -116,6 +116,13 @@ class Instance:
         self.call(f"fmi2Set{kind.capitalize()}", ctypes.byref(ctypes.c_uint(variable.reference)), ctypes.c_size_t(1),
                   ctypes.byref(CTYPES[kind](value)))  # fmt: skip
 
+    def get(self, variable: Variable) -> Any:
+        """The value of a variable that is no text.  Raises CallFailed."""
+        value = CTYPES[variable.kind]()
+        self.call(f"fmi2Get{variable.kind.capitalize()}", ctypes.byref(ctypes.c_uint(variable.reference)),
+                  ctypes.c_size_t(1), ctypes.byref(value))  # fmt: skip
+        return value.value
+
     def wants_to_end(self) -> bool:
         """After fmi2Discard: whether the FMU asks to end the simulation.
 

@@ -44,6 +44,7 @@ class Outcome:
     stopped_at: float | None = None
     warnings: list[str] = field(default_factory=list)
     timing: dict[str, Any] = field(default_factory=dict)  # see timing
+    calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
 
 
 class Observer(Protocol):
@@ -78,6 +79,7 @@ def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | No
     outcome = Outcome("completed")
     try:
         system.initialize()
+        outcome.calculated = system.calculated()
         for observer in observers:
             if isinstance(observer, Watcher):
                 observer.opened(system)

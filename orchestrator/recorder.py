@@ -108,6 +108,8 @@ class Recorder:
             "warnings": json.dumps(outcome.warnings),
             "timing": json.dumps(outcome.timing),
         }
+        for component, values in outcome.calculated.items():
+            self.file[component].attrs["calculated"] = json.dumps(values)
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
                 attributes[name] = getattr(outcome, name)

@@ -99,6 +99,20 @@ class System:
             if member.not_finite():
                 raise MemberFailed(member, member.not_finite())
 
+    def calculated(self) -> dict[str, dict[str, Any]]:
+        """{component: {parameter: value}} of the parameters that FMUs calculate themselves, once initialized.
+
+        Raises MemberFailed.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        for member in self.members:
+            variables = [v for v in member.part.fmu.variables.values() if v.causality == "calculatedParameter"]
+            with failing(member):
+                values = {v.name: member.instance.get(v) for v in variables if v.kind != "string"}
+            if values:
+                found[member.part.name] = values
+        return found
+
     def _exchange(self, member: Member) -> None:
         for gather in member.gathers:
             gather()

@@ -11,8 +11,8 @@ from ..options import results_option, tell
 
 @click.command()
 @click.argument("run", metavar="RUN")
-@click.option("--format", "form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap"]),
-              help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap).")  # fmt: skip
+@click.option("--format", "form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog"]),
+              help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog).")  # fmt: skip
 @click.option("--output", "-o", metavar="FILE", help="Default: beside the record.")
 @results_option
 def export(run: str, form: str | None, output: str | None, results: str) -> None:
@@ -24,11 +24,13 @@ def export(run: str, form: str | None, output: str | None, results: str) -> None
     mat      MATLAB: vehicle1.eta_x, and vectors such as vehicle1.eta, (N, 6); units.vehicle1.eta_x
     netcdf   xarray: variables vehicle1.eta.x over time, with units
     mcap     Foxglove: a channel a component, /vehicle1, and poses and tracks of vehicles
+    tlog     QGroundControl, MAVProxy, MAVExplorer: the telemetry of the vehicles as ArduSub
 
     MCAP counts simulated time from 0.  Its signals are as recorded, in NED and FRD; its poses are as Foxglove expects
     them: x east, y north, z up, and of a vehicle x forward, y left, z up.
 
-    All but csv need libraries: pip install "orch[export]".  Of a run that did not complete, its rows are written.
+    All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
+    its rows are written.
     """
     from .. import export as exporting
     from .. import show
@@ -36,7 +38,7 @@ def export(run: str, form: str | None, output: str | None, results: str) -> None
 
     form = form or exporting.named_by(Path(output or ""))
     if form is None:
-        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf or mcap")
+        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf, mcap or tlog")
     with open_run(run, results) as record:
         target = Path(output) if output else record.path.with_suffix(exporting.FORMATS[form].suffix)
         exporting.export(record, form, target)

@@ -141,7 +141,9 @@ class Bridge(Watcher):
         wall = time.time()
         for station in list(self._stations.values()):
             for channel in station.channels.values():
-                if channel.heartbeat_due <= now:
+                if channel.has_changed():  # of mode, or armed: at once
+                    channel.send(telemetry.heartbeat(channel.autopilot))
+                elif channel.heartbeat_due <= now:
                     channel.send(telemetry.heartbeat(channel.autopilot))
                     late = now - channel.heartbeat_due
                     channel.heartbeat_due = channel.heartbeat_due + HEARTBEAT if late < HEARTBEAT else now + HEARTBEAT

@@ -56,6 +56,11 @@ def settings_of(plan: Plan) -> Settings:
                          "nu.r")]  # fmt: skip
     if found:
         raise ExperimentError(plan.experiment.path, found)
+    return settings_from(table, vehicles)
+
+
+def settings_from(table: Mapping[str, Any], vehicles: Iterable[str]) -> Settings:
+    """Of a table without problems.  vehicles: those of the experiment, where the table names none."""
     chosen = dict(table.get("vehicles", {})) or {name: i for i, name in enumerate(vehicles, 1)}
     origin = table.get("origin", dict(zip(("lat", "lon"), ORIGIN, strict=True)))
     return Settings(

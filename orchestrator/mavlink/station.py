@@ -31,12 +31,18 @@ class Channel:
         self._due: dict[str, list[float]] = {}  # {message: [interval, when next]} [s]
         self._jobs: dict[str, Iterator[Any]] = {}
         self._pace_due = now
+        self._state = (autopilot.mode, autopilot.armed)
         for name in STREAMED:
             self.reset(name, now)
 
     def send(self, *messages: Any) -> None:
         for message in messages:
             self.peer.send(self._encoder.frame(message))
+
+    def has_changed(self) -> bool:
+        """Whether mode or arming is not what the last call saw."""
+        before, self._state = self._state, (self.autopilot.mode, self.autopilot.armed)
+        return before != self._state
 
     def default_interval(self, name: str) -> float | None:
         """s; None: not sent unless asked for."""
