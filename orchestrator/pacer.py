@@ -9,7 +9,7 @@ from .loop import Block
 from .master import Watcher
 from .plan import Plan
 
-SLICE = 0.005  # s of wall time between two looks at the clock
+SLICE = 0.002  # s of wall time between two looks at the clock
 
 
 class Pacer(Watcher):
