@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .control import Control
 
 VERSION = (4, 5, 3)
-HASH = "orch-sim"  # eight characters, where ArduPilot has those of its commit
+HASH = "6f726368"  # "orch" in hexadecimal, where ArduPilot has the first digits of its commit
 BANNER = (f"ArduSub V{'.'.join(map(str, VERSION))} ({HASH})", "Frame: VECTORED")
 
 # custom_mode of ArduSub
