@@ -46,7 +46,7 @@ class Live:
                 from .pacer import Pacer
 
                 pacer = Pacer(plan, self.realtime)
-                observers.append(pacer)
+                observers.insert(0, pacer)  # the bridge shows what is so now, not what will be
             yield plan, observers
             if self.realtime is not None and pacer.latest > LATE:
                 words = f"the run was up to {pacer.latest:.3g} s behind its pace, {pacer.late:.3g} s at the end"

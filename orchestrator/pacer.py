@@ -10,6 +10,7 @@ from .master import Watcher
 from .plan import Plan
 
 SLICE = 0.002  # s of wall time between two looks at the clock
+TAIL = 0.05  # s of wall time before the end that are one slice: the last rows are written while it waits
 
 
 class Pacer(Watcher):
@@ -21,7 +22,9 @@ class Pacer(Watcher):
 
     def __init__(self, plan: Plan, factor: float = 1.0):
         self._grid, self._factor = plan.experiment.grid, factor
-        self._slice = max(1, round(SLICE * factor / plan.experiment.master.step))  # ticks
+        ticks_per_second = factor / plan.experiment.master.step
+        self._slice = max(1, round(SLICE * ticks_per_second))
+        self._tail = max(0, plan.steps - round(TAIL * ticks_per_second))  # where the last slice begins
         self._began: float | None = None
         self._looks, self._sum = 0, 0.0
         self.late = self.latest = 0.0  # s; now, and at worst
@@ -31,7 +34,9 @@ class Pacer(Watcher):
             self._began = time.monotonic()
 
     def limit(self, tick: int, last: int) -> int:
-        return min(last, tick - tick % self._slice + self._slice)
+        if tick >= self._tail:
+            return last
+        return min(last, tick - tick % self._slice + self._slice, self._tail)
 
     def progress(self, tick: int) -> None:
         assert self._began is not None  # the first row comes before the first step
