@@ -48,7 +48,8 @@ for system in sdk.get_systems():
         time.sleep(0.1)
     attitudes, places = [], []
     direct = MavlinkDirect(system)
-    keep = lambda into: lambda message: into.append(json.loads(message.fields_json))
+    def keep(into, wanted=system.get_system_id()):  # a subscription is to the messages of all systems
+        return lambda m, _: into.append(json.loads(m.fields_json)) if m.system_id == wanted else None
     direct.subscribe_message("ATTITUDE", keep(attitudes))
     direct.subscribe_message("LOCAL_POSITION_NED", keep(places))
     every = param.get_all_params()
