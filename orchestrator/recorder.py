@@ -109,13 +109,15 @@ class Recorder:
             "warnings": json.dumps(outcome.warnings),
             "timing": json.dumps(outcome.timing),
         }
-        for component, values in outcome.calculated.items():
-            self.file[component].attrs["calculated"] = json.dumps(values)
+        calculated = {component: json.dumps(values) for component, values in outcome.calculated.items()}
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
                 attributes[name] = getattr(outcome, name)
-        with self._room(sum(map(len, outcome.warnings)) * 2):
+        texts = [*outcome.warnings, *calculated.values()]
+        with self._room(sum(map(len, texts)) * 2 + HEADER * len(calculated)):
             self.file.attrs.update(attributes)
+            for component, text in calculated.items():
+                self.file[component].attrs["calculated"] = text
         return wall_time, factor
 
     def close(self, status: str, metrics: Mapping[str, float] | None = None) -> None:
