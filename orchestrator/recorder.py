@@ -76,8 +76,8 @@ class Recorder:
             self.flush()
 
     def progress(self, tick: int) -> None:
-        if tick >= self._plan.steps:  # now: a paced run still has time
-            self.flush()
+        if tick >= self._plan.steps and time.monotonic() - self._began > FLUSH_SECONDS:
+            self.flush()  # now: a paced run still has time
 
     def flush(self) -> None:
         """Write what is waiting: first every signal, then, when those are on disk, the times."""

@@ -100,7 +100,7 @@ def test_a_factor_paces_and_a_run_without_it_is_not_held_up(run, tmp_path):
     for name, options in {"fast": ["--realtime", "4"], "free": []}.items():
         process = run("--set", "master.stop_time=2", "--json", "--output", f"{name}.h5", *options)
         walls[name] = json.loads(process.communicate(timeout=60)[0])["wall_time"]
-    assert walls["fast"] == pytest.approx(0.5, abs=0.05)
+    assert walls["fast"] == pytest.approx(0.5, abs=0.08)
     assert walls["free"] < 0.4
 
 
