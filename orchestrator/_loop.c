@@ -9,6 +9,7 @@
 #include <Python.h>
 
 #include <math.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,29 +31,42 @@ static double now(void) {
 }
 #endif
 
-enum { REAL, INTEGER, BOOLEAN, KINDS };
+/* As variables.NUMBERS has them. */
+enum { REAL, INTEGER, BOOLEAN, FLOAT32, INT8, UINT8, INT16, UINT16, UINT32, INT64, UINT64, TRUTH, KINDS };
 enum { AT_ONCE, TICK_END, PERIOD_END, MOMENTS };
 enum { NOT_FINITE = -1 };
-enum { FMI_WARNING = 1 };
+enum { FMI_WARNING = 1, FMI_DISCARD, FMI_ERROR };
 
 typedef int Exchange(void *component, const uint32_t *references, size_t n, void *values);
+typedef int Exchange3(void *component, const uint32_t *references, size_t n, void *values, size_t n_values);
 typedef int DoStep(void *component, double t, double h, int no_going_back);
+typedef int DoStep3(void *component, double t, double h, bool no_going_back, bool *event, bool *terminate, bool *early,
+                    double *reached);
+typedef void Function(void);
 
 /* Values that follow one another in the table as they do in a setter's buffer. */
 typedef struct {
     size_t source, target, n;
 } Run;
 
+/* A value on its way into a buffer: factor * value + offset.  As loop.py's array has it. */
+typedef struct {
+    int64_t kind, source, target;
+    double factor, offset;
+} Conversion;
+
 /* One getter or setter call. */
 typedef struct {
     int kind;
-    Exchange *function;
+    Function *function; /* NULL: the step does it */
     const uint32_t *references;
-    size_t n;
+    size_t n_references, n;
     void *values;
     Run *runs; /* of a setter: where its values come from */
     size_t n_runs;
-    int staged; /* real values that do not lie in the table: they are checked at once, the table after each tick */
+    const Conversion *conversions;
+    size_t n_conversions;
+    int staged; /* floats that do not lie in the table: they are checked at once, the table after each tick */
 } Call;
 
 typedef struct {
@@ -63,8 +77,11 @@ typedef struct {
 } Publication;
 
 typedef struct {
+    int version; /* of FMI */
     void *component;
-    DoStep *step;
+    Function *step;
+    bool *answers; /* FMI 3.0: event, terminate, early */
+    double *reached;
     double h;
     Py_ssize_t period;
     Call *sets, *gets;
@@ -89,7 +106,7 @@ typedef struct {
     const Member **late; /* those that publish something at the end of a tick or period */
     size_t n_members, n_late;
     void *tables[KINDS];
-    size_t n_reals; /* of the table, computed by components */
+    size_t n_reals, n_float32; /* of the tables, computed by components */
     const Py_ssize_t *recorded[KINDS];
     size_t n_recorded[KINDS];
     Alternations alternations;
@@ -103,13 +120,48 @@ typedef struct {
 
 /* --- The loop ------------------------------------------------------------------------------------------------------- */
 
-static size_t size_of(int kind) { return kind == REAL ? sizeof(double) : sizeof(int32_t); }
+static const uint8_t SIZES[KINDS] = {8, 4, 4, 4, 1, 1, 2, 2, 4, 8, 8, 1};
 
-static void gather(void *to, const void *table, const Py_ssize_t *sources, size_t n, int kind) {
-    if (kind == REAL)
-        for (size_t i = 0; i < n; i++) ((double *)to)[i] = ((const double *)table)[sources[i]];
-    else
-        for (size_t i = 0; i < n; i++) ((int32_t *)to)[i] = ((const int32_t *)table)[sources[i]];
+static inline size_t size_of(int kind) { return SIZES[kind]; }
+
+/* to[targets[i]] = from[sources[i]]; without targets, in order. */
+static void scatter(void *to, const Py_ssize_t *targets, const void *from, const Py_ssize_t *sources, size_t n, int kind) {
+#define SCATTER(type)                                                                                                  \
+    for (size_t i = 0; i < n; i++) ((type *)to)[targets ? targets[i] : (Py_ssize_t)i] = ((const type *)from)[sources[i]]
+    switch (size_of(kind)) {
+    case 8: SCATTER(uint64_t); break;
+    case 4: SCATTER(uint32_t); break;
+    case 2: SCATTER(uint16_t); break;
+    default: SCATTER(uint8_t);
+    }
+#undef SCATTER
+}
+
+#define EACH_KIND(DO)                                                                                                  \
+    DO(REAL, double) DO(INTEGER, int32_t) DO(BOOLEAN, int32_t) DO(FLOAT32, float) DO(INT8, int8_t) DO(UINT8, uint8_t)  \
+    DO(INT16, int16_t) DO(UINT16, uint16_t) DO(UINT32, uint32_t) DO(INT64, int64_t) DO(UINT64, uint64_t)               \
+    DO(TRUTH, uint8_t)
+
+static double load(const void *table, int64_t place, int64_t kind) {
+    switch (kind) {
+#define LOAD(name, type) case name: return (double)((const type *)table)[place];
+        EACH_KIND(LOAD)
+#undef LOAD
+    }
+    return NAN;
+}
+
+static void store(void *values, int64_t place, int kind, double value) {
+    switch (kind) {
+#define STORE(name, type) case name: ((type *)values)[place] = (type)value; break;
+        EACH_KIND(STORE)
+#undef STORE
+    }
+}
+
+static void convert(const Call *c, void *const *tables) {
+    for (const Conversion *v = c->conversions, *end = v + c->n_conversions; v < end; v++)
+        store(c->values, v->target, c->kind, v->factor * load(tables[v->kind], v->source, v->kind) + v->offset);
 }
 
 static inline void copy(const Call *c, const Run *run, const void *table) {
@@ -117,18 +169,9 @@ static inline void copy(const Call *c, const Run *run, const void *table) {
     memcpy((char *)c->values + run->target * size, (const char *)table + run->source * size, run->n * size);
 }
 
-static void publish(void *table, const Publication *p) {
-    if (p->kind == REAL)
-        for (size_t i = 0; i < p->n; i++)
-            ((double *)table)[p->targets[i]] = ((const double *)p->values)[p->chosen[i]];
-    else
-        for (size_t i = 0; i < p->n; i++)
-            ((int32_t *)table)[p->targets[i]] = ((const int32_t *)p->values)[p->chosen[i]];
-}
-
 static void publish_all(const Loop *self, const Member *m, int moment) {
-    for (size_t i = 0; i < m->n_published[moment]; i++)
-        publish(self->tables[m->published[moment][i].kind], &m->published[moment][i]);
+    for (const Publication *p = m->published[moment], *end = p + m->n_published[moment]; p < end; p++)
+        scatter(self->tables[p->kind], p->targets, p->values, p->chosen, p->n, p->kind);
 }
 
 /* Adding one to an exponent of nothing but ones runs into the sign. */
@@ -142,6 +185,34 @@ static int all_finite(const double *values, size_t n) {
     return !(met >> 63);
 }
 
+static int all_finite32(const float *values, size_t n) {
+    uint32_t met = 0;
+    for (size_t i = 0; i < n; i++) {
+        uint32_t bits;
+        memcpy(&bits, values + i, sizeof bits);
+        met |= (bits & UINT32_C(0x7fffffff)) + UINT32_C(0x00800000);
+    }
+    return !(met >> 31);
+}
+
+static int is_finite(const Call *c) {
+    if (c->kind == FLOAT32) return all_finite32(c->values, c->n);
+    return c->kind != REAL || all_finite(c->values, c->n);
+}
+
+static inline int exchange(const Member *m, const Call *c) {
+    if (m->version == 2) return ((Exchange *)c->function)(m->component, c->references, c->n_references, c->values);
+    return ((Exchange3 *)c->function)(m->component, c->references, c->n_references, c->values, c->n);
+}
+
+static inline int do_step(const Member *m, double t) {
+    if (m->version == 2) return ((DoStep *)m->step)(m->component, t, m->h, 1);
+    bool *a = m->answers;
+    int status = ((DoStep3 *)m->step)(m->component, t, m->h, true, &a[0], &a[1], &a[2], m->reached);
+    if ((unsigned)status > FMI_WARNING) return status;
+    return a[1] ? FMI_DISCARD : a[2] ? FMI_ERROR : status;
+}
+
 /* Returns 0, a status of FMI above fmi2Warning or below 0, or NOT_FINITE; marks: the times before set, step, get and
    at the end, or NULL. */
 static int step(const Loop *self, const Member *m, double t, double *marks) {
@@ -149,17 +220,21 @@ static int step(const Loop *self, const Member *m, double t, double *marks) {
     if (marks) marks[0] = now();
     for (const Call *c = m->sets, *end = c + m->n_sets; c < end; c++) {
         for (size_t j = 0; j < c->n_runs; j++) copy(c, &c->runs[j], self->tables[c->kind]);
-        status = c->function(m->component, c->references, c->n, c->values);
+        if (c->n_conversions) convert(c, self->tables);
+        if (!c->function) continue;
+        status = exchange(m, c);
         if ((unsigned)status > FMI_WARNING) return status;
     }
     if (marks) marks[1] = now();
-    status = m->step(m->component, t, m->h, 1);
+    status = do_step(m, t);
     if ((unsigned)status > FMI_WARNING) return status;
     if (marks) marks[2] = now();
     for (const Call *c = m->gets, *end = c + m->n_gets; c < end; c++) {
-        status = c->function(m->component, c->references, c->n, c->values);
-        if ((unsigned)status > FMI_WARNING) return status;
-        if (c->staged && !all_finite(c->values, c->n)) return NOT_FINITE;
+        if (c->function) {
+            status = exchange(m, c);
+            if ((unsigned)status > FMI_WARNING) return status;
+        }
+        if (c->staged && !is_finite(c)) return NOT_FINITE;
     }
     if (m->n_published[AT_ONCE]) publish_all(self, m, AT_ONCE);
     if (marks) marks[3] = now();
@@ -195,10 +270,8 @@ static void look(const Alternations *a, const double *table, Py_ssize_t phase) {
 /* The first member that has given a value that is not finite. */
 static Py_ssize_t not_finite(const Loop *self) {
     for (size_t i = 0; i < self->n_members; i++)
-        for (size_t j = 0; j < self->members[i].n_gets; j++) {
-            const Call *c = &self->members[i].gets[j];
-            if (c->kind == REAL && !all_finite(c->values, c->n)) return (Py_ssize_t)i;
-        }
+        for (size_t j = 0; j < self->members[i].n_gets; j++)
+            if (!is_finite(&self->members[i].gets[j])) return (Py_ssize_t)i;
     return 0;
 }
 
@@ -224,7 +297,8 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             }
             if (timed) add_times(self, i, marks);
         }
-        if (!all_finite(self->tables[REAL], self->n_reals)) {
+        if (!all_finite(self->tables[REAL], self->n_reals) ||
+            !all_finite32(self->tables[FLOAT32], self->n_float32)) {
             *failed = not_finite(self);
             *status = NOT_FINITE;
             return k;
@@ -239,7 +313,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
                 size_t n = self->n_recorded[kind], size = size_of(kind);
-                gather((char *)rows[kind] + row * n * size, self->tables[kind], self->recorded[kind], n, kind);
+                if (n) scatter((char *)rows[kind] + row * n * size, NULL, self->tables[kind], self->recorded[kind], n, kind);
             }
             row++;
             next_row += self->stride;
@@ -264,33 +338,40 @@ static void *memory_of(PyObject *array, size_t item, size_t *n) {
     return fits ? memory : NULL;
 }
 
-static int find_runs(Call *c, PyObject *array) {
-    const Py_ssize_t *sources = memory_of(array, sizeof(Py_ssize_t), NULL);
-    if (!sources) return -1;
-    c->runs = calloc(c->n + 1, sizeof *c->runs);
+/* Sources and targets that follow one another are one run. */
+static int find_runs(Call *c, PyObject *places) {
+    PyObject *first, *second;
+    size_t n;
+    if (!PyArg_ParseTuple(places, "OO", &first, &second)) return -1;
+    const Py_ssize_t *sources = memory_of(first, sizeof(Py_ssize_t), &n);
+    const Py_ssize_t *targets = sources ? memory_of(second, sizeof(Py_ssize_t), NULL) : NULL;
+    if (!targets) return -1;
+    c->runs = calloc(n + 1, sizeof *c->runs);
     if (!c->runs) return PyErr_NoMemory(), -1;
-    for (size_t i = 0; i < c->n; i++)
-        if (i && sources[i] == sources[i - 1] + 1) c->runs[c->n_runs - 1].n++;
-        else c->runs[c->n_runs++] = (Run){(size_t)sources[i], i, 1};
+    for (size_t i = 0; i < n; i++)
+        if (i && sources[i] == sources[i - 1] + 1 && targets[i] == targets[i - 1] + 1) c->runs[c->n_runs - 1].n++;
+        else c->runs[c->n_runs++] = (Run){(size_t)sources[i], (size_t)targets[i], 1};
     return 0;
 }
 
-/* {(kind, address, references, values, sources or None)} */
+/* {(kind, address, references, values, (sources, targets) or None, conversions or None)} */
 static int parse_calls(PyObject *list, Call **calls, size_t *n) {
     *n = (size_t)PyList_Size(list);
     *calls = calloc(*n + 1, sizeof **calls);
     if (!*calls) return PyErr_NoMemory(), -1;
     for (size_t i = 0; i < *n; i++) {
         Call *c = &(*calls)[i];
-        PyObject *address, *references, *values, *sources;
-        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOOO", &c->kind, &address, &references, &values,
-                              &sources))
+        PyObject *address, *references, *values, *places, *conversions;
+        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOOOO", &c->kind, &address, &references, &values,
+                              &places, &conversions))
             return -1;
-        c->function = (Exchange *)PyLong_AsVoidPtr(address);
-        if (!(c->references = memory_of(references, sizeof(uint32_t), &c->n))) return -1;
-        if (!(c->values = memory_of(values, size_of(c->kind), NULL))) return -1;
-        if (sources != Py_None && find_runs(c, sources) < 0) return -1;
+        c->function = (Function *)PyLong_AsVoidPtr(address);
         if (PyErr_Occurred()) return -1;
+        if (!(c->references = memory_of(references, sizeof(uint32_t), &c->n_references))) return -1;
+        if (!(c->values = memory_of(values, size_of(c->kind), &c->n))) return -1;
+        if (places != Py_None && find_runs(c, places) < 0) return -1;
+        if (conversions == Py_None) continue;
+        if (!(c->conversions = memory_of(conversions, sizeof(Conversion), &c->n_conversions))) return -1;
     }
     return 0;
 }
@@ -313,17 +394,34 @@ static int parse_publications(PyObject *list, Publication **publications, size_t
 }
 
 static int parse_member(PyObject *tuple, Member *m) {
-    PyObject *component, *function, *sets, *gets, *published[MOMENTS];
-    if (!PyArg_ParseTuple(tuple, "OOdnO!O!(O!O!O!)", &component, &function, &m->h, &m->period, &PyList_Type, &sets,
-                          &PyList_Type, &gets, &PyList_Type, &published[0], &PyList_Type, &published[1], &PyList_Type,
-                          &published[2]))
+    PyObject *component, *function, *answers, *sets, *gets, *published[MOMENTS];
+    if (!PyArg_ParseTuple(tuple, "iOOOdnO!O!(O!O!O!)", &m->version, &component, &function, &answers, &m->h, &m->period,
+                          &PyList_Type, &sets, &PyList_Type, &gets, &PyList_Type, &published[0], &PyList_Type,
+                          &published[1], &PyList_Type, &published[2]))
         return -1;
     m->component = PyLong_AsVoidPtr(component);
-    m->step = (DoStep *)PyLong_AsVoidPtr(function);
+    m->step = (Function *)PyLong_AsVoidPtr(function);
     if (PyErr_Occurred()) return -1;
+    if (answers != Py_None) {
+        PyObject *flags, *reached;
+        if (!PyArg_ParseTuple(answers, "OO", &flags, &reached)) return -1;
+        if (!(m->answers = memory_of(flags, sizeof(bool), NULL))) return -1;
+        if (!(m->reached = memory_of(reached, sizeof(double), NULL))) return -1;
+    }
     if (parse_calls(sets, &m->sets, &m->n_sets) < 0 || parse_calls(gets, &m->gets, &m->n_gets) < 0) return -1;
     for (int moment = 0; moment < MOMENTS; moment++)
         if (parse_publications(published[moment], &m->published[moment], &m->n_published[moment]) < 0) return -1;
+    return 0;
+}
+
+/* The memory of one array of each kind. */
+static int memories_of(PyObject *tuple, int positions, void *memory[KINDS], size_t n[KINDS]) {
+    for (int kind = 0; kind < KINDS; kind++) {
+        PyObject *array = PyTuple_GetItem(tuple, kind);
+        if (!array) return -1;
+        size_t item = positions ? sizeof(Py_ssize_t) : size_of(kind);
+        if (!(memory[kind] = memory_of(array, item, n ? &n[kind] : NULL))) return -1;
+    }
     return 0;
 }
 
@@ -359,32 +457,31 @@ static void loop_dealloc(Loop *self) {
 
 /* Values that lie in the table as the setter wants them need no copy. */
 static void use_in_place(const Loop *self, Call *c) {
-    if (c->n_runs != 1) return;
+    if (c->n_runs != 1 || c->runs[0].n != c->n || !c->function) return;
     c->values = (char *)self->tables[c->kind] + c->runs[0].source * size_of(c->kind);
     c->n_runs = 0;
 }
 
 static int is_staged(const Loop *self, const Call *c) {
-    const double *table = self->tables[REAL], *values = c->values;
-    return values < table || values >= table + self->n_reals;
+    if (c->kind != REAL && c->kind != FLOAT32) return 0;
+    const char *table = self->tables[c->kind], *values = c->values;
+    return values < table || values >= table + (c->kind == REAL ? self->n_reals : self->n_float32) * size_of(c->kind);
 }
 
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
-    PyObject *members, *tables[KINDS], *recorded[KINDS], *alternations, *seconds, *samples, *interrupt;
+    PyObject *members, *tables, *recorded, *alternations, *seconds, *samples, *interrupt;
+    void *places[KINDS];
     if (self->owners) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
-    if (!PyArg_ParseTuple(arguments, "O!(OOO)(OOO)O!(OOn)Onp", &PyList_Type, &members, &tables[0], &tables[1],
-                          &tables[2], &recorded[0], &recorded[1], &recorded[2], &PyTuple_Type, &alternations, &seconds,
-                          &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock))
+    if (!PyArg_ParseTuple(arguments, "O!O!(nn)O!O!(OOn)Onp", &PyList_Type, &members, &PyTuple_Type, &tables,
+                          &self->n_reals, &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations,
+                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock))
         return -1;
     self->owners = Py_NewRef(arguments);
-    for (int kind = 0; kind < KINDS; kind++) {
-        if (!(self->tables[kind] = memory_of(tables[kind], size_of(kind), NULL))) return -1;
-        self->recorded[kind] = memory_of(recorded[kind], sizeof(Py_ssize_t), &self->n_recorded[kind]);
-        if (!self->recorded[kind]) return -1;
-    }
+    if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
+        return -1;
+    for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
     if (parse_alternations(alternations, &self->alternations) < 0) return -1;
-    self->n_reals = self->alternations.n;
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
@@ -396,7 +493,7 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
         Member *m = &self->members[i];
         if (parse_member(PyList_GetItem(members, i), m) < 0) return -1;
         for (size_t j = 0; j < m->n_sets; j++) use_in_place(self, &m->sets[j]);
-        for (size_t j = 0; j < m->n_gets; j++) m->gets[j].staged = m->gets[j].kind == REAL && is_staged(self, &m->gets[j]);
+        for (size_t j = 0; j < m->n_gets; j++) m->gets[j].staged = is_staged(self, &m->gets[j]);
         if (m->n_published[TICK_END] || m->n_published[PERIOD_END]) self->late[self->n_late++] = m;
     }
     self->overhead = 1.0;
@@ -408,16 +505,15 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
 }
 
 static PyObject *loop_advance(Loop *self, PyObject *arguments) {
-    PyObject *times, *rows[KINDS];
+    PyObject *times, *rows;
     Py_ssize_t first, last, done, failed = -1;
     double patience;
     void *memory[KINDS], *start;
     int status = 0;
-    if (!PyArg_ParseTuple(arguments, "nnOd(OOO)", &first, &last, &times, &patience, &rows[0], &rows[1], &rows[2]))
+    if (!PyArg_ParseTuple(arguments, "nnOdO!", &first, &last, &times, &patience, &PyTuple_Type, &rows))
         return NULL;
     if (!(start = memory_of(times, sizeof(double), NULL))) return NULL;
-    for (int kind = 0; kind < KINDS; kind++)
-        if (!(memory[kind] = memory_of(rows[kind], size_of(kind), NULL))) return NULL;
+    if (memories_of(rows, 0, memory, NULL) < 0) return NULL;
     if (self->holds_lock) {
         done = advance(self, first, last, start, patience, memory, &failed, &status);
     } else {
@@ -430,13 +526,13 @@ static PyObject *loop_advance(Loop *self, PyObject *arguments) {
 
 static PyMethodDef loop_methods[] = {
     {"advance", (PyCFunction)loop_advance, METH_VARARGS,
-     "advance(first, last, times, patience, (reals, integers, booleans)) -> (ticks done, failed member or -1, status)\n\n"
-     "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; the arrays take the rows."},
+     "advance(first, last, times, patience, rows) -> (ticks done, failed member or -1, status)\n\n"
+     "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; rows: an array of each kind."},
     {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot loop_slots[] = {
-    {Py_tp_doc, "Loop(members, tables, recorded, alternations, (seconds, samples, every), interrupt, stride, "
+    {Py_tp_doc, "Loop(members, tables, computed, recorded, alternations, (seconds, samples, every), interrupt, stride, "
                 "holds_lock); see loop.py"},
     {Py_tp_init, loop_init},
     {Py_tp_new, PyType_GenericNew},

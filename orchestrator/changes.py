@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from .fmu import split_axis
 from .store import Run
+from .variables import split_axis
 
 MADE = ("versions", "git_commit", "platform")  # beside what the experiment says
 ENDED = ("status", "error", "stopped_at", "failed_at")

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .fmu import split_axis
 from .system import System
+from .variables import split_axis
 
 SHARE = 0.5  # of its component's steps, above which a signal is reported
 FEWEST_STEPS = 20  # below that, alternating says nothing

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from .fmu import split_axis
+from .variables import split_axis
 
 if TYPE_CHECKING:
     from .store import Run

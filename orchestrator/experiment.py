@@ -19,6 +19,7 @@ from .errors import ExperimentError, Problem, did_you_mean
 from .grid import Grid
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
+ISOLATION = ("auto", "process", "none")
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,20 @@ class Component:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     start: Mapping[str, Any] | str = field(default_factory=dict)  # or "fmu": the FMU's own values
     step: float | None = None  # s, its own period; None: the master's
+    isolation: str = "auto"  # one of ISOLATION
+    timeout: float | None = None  # s of wall time for a step, in a process of its own
+    builtin: str = ""  # what runs inside orch in place of an FMU
     swapped: bool = False  # by --swap: may lack inputs that its predecessor had
+
+
+@dataclass(frozen=True)
+class Connection:
+    """input = gain * output + offset, after the conversion of units."""
+
+    source: str  # component.output
+    gain: float | None = None
+    offset: float | None = None
+    unit_check: bool = True
 
 
 @dataclass(frozen=True)
@@ -53,7 +67,7 @@ class Experiment:
     title: str
     master: Master
     components: tuple[Component, ...]
-    connections: Mapping[str, str]  # {"component.input": "component.output"}
+    connections: Mapping[str, Connection]  # {"component.input": where from}
     record: Record
     metrics: Mapping[str, Mapping[str, Any]]
     mavlink: Mapping[str, Any]
@@ -194,10 +208,12 @@ class _Reader:
             entry = self.table(table, name, "components")
             if not re.fullmatch(r"[A-Za-z_]\w*", name):
                 self.problem(key, "a component's name is letters, digits and _, and begins with no digit")
-            if name == "time":
-                self.problem(key, "is where the record keeps the time; give the component another name")
-            self.known(entry, ("fmu", "parameters", "start", "step"), key)
-            if isinstance(table[name], dict) and entry.get("fmu", "") == "":
+            if name in ("time", "_heard"):
+                self.problem(key, "is where the record keeps something else; give the component another name")
+            self.known(entry, ("fmu", "builtin", "parameters", "start", "step", "isolation", "timeout"), key)
+            if "builtin" in entry and "fmu" in entry:
+                self.problem(f"{key}.builtin", "stands beside fmu; a component is one of them")
+            elif isinstance(table[name], dict) and not (entry.get("fmu") or entry.get("builtin")):
                 self.problem(f"{key}.fmu", "is missing; give the name of a model or the path of an .fmu")
             start = entry.get("start", {})
             if not isinstance(start, dict) and start != "fmu":
@@ -206,19 +222,41 @@ class _Reader:
             step = self.seconds(entry, "step", key, master.step) if "step" in entry else None
             if step is not None:
                 self.multiple(step, master.step, f"{key}.step")
-            fmu, parameters = self.typed(entry, "fmu", key, str, ""), self.table(entry, "parameters", key)
-            found.append(Component(name, fmu, parameters, start, step, name in swapped))
+            isolation = self.typed(entry, "isolation", key, str, ISOLATION[0])
+            if isolation not in ISOLATION:
+                self.problem(f"{key}.isolation", f"no {isolation!r}{did_you_mean(isolation, ISOLATION)}")
+            timeout = self.seconds(entry, "timeout", key, 1.0) if "timeout" in entry else None
+            if timeout is not None and isolation == "none":
+                self.problem(f"{key}.timeout", 'can be kept only in a process of its own; take isolation = "process"')
+            found.append(Component(
+                name, self.typed(entry, "fmu", key, str, ""), self.table(entry, "parameters", key), start, step,
+                isolation, timeout, self.typed(entry, "builtin", key, str, ""), name in swapped,
+            ))  # fmt: skip
         return tuple(found)
 
-    def connections(self, table: dict[str, Any]) -> dict[str, str]:
+    def connections(self, table: dict[str, Any]) -> dict[str, Connection]:
         found = {}
         for sink, source in table.items():
+            key = f'connections."{sink}"'
             if isinstance(source, str):
-                found[sink] = source
+                found[sink] = Connection(source)
+            elif isinstance(source, dict) and "from" in source:
+                self.known(source, ("from", "gain", "offset", "unit_check"), key)
+                found[sink] = Connection(
+                    self.typed(source, "from", key, str, ""), self.number(source, "gain", key),
+                    self.number(source, "offset", key), self.typed(source, "unit_check", key, bool, True),
+                )  # fmt: skip
             else:
                 hint = '; write the key in quotes: "controller.eta" = "vehicle.eta"' if isinstance(source, dict) else ""
-                self.problem(f'connections."{sink}"', f"is {source!r}, not the name of an output{hint}")
+                self.problem(key, f"is {source!r}, not the name of an output{hint}")
         return found
+
+    def number(self, table: dict[str, Any], key: str, path: str) -> float | None:
+        value = table.get(key)
+        if value is None or (isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)):
+            return None if value is None else float(value)
+        self.problem(f"{path}.{key}", f"is {value!r}; give a finite number")
+        return None
 
     def record(self, table: dict[str, Any], master: Master) -> Record:
         self.known(table, ("every", "signals", "inputs"), "record")

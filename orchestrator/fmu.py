@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import platform
 import stat
 import sys
 import zipfile
@@ -13,50 +14,24 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from . import units, variables
 from .errors import FmuError
+from .units import Unit
+from .variables import Variable, split_axis
 
 DESCRIPTION = "modelDescription.xml"
 MAX_SIZE = 4 << 30  # bytes of all files of an archive together
 MAX_RATIO = 200  # unpacked to packed
 # What zipfile raises at damaged, encrypted and oddly compressed members.
 DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError)
-
-KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"}
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One FMI variable."""
-
-    name: str
-    reference: int
-    type: str  # FMI's: Real, Integer, Boolean, String, Enumeration
-    causality: str
-    unit: str
-    start: Any
-    description: str
-    feedthrough: bool  # an output that depends on an input of the same instant, as far as the FMU says
-    items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
-    limits: tuple[float, float] | None = None  # of a Real: min and max
-
-    @property
-    def kind(self) -> str:
-        """Which of FMI 2.0's getters and setters it takes: real, integer, boolean or string."""
-        return KINDS[self.type]
-
-    @property
-    def initial(self) -> Any:
-        """Its start value as a number, a truth or a text; 0, False or "" where the FMU gives none."""
-        if self.type == "String":
-            return self.start or ""
-        if self.type == "Boolean":
-            return self.start in ("true", "1")
-        return float(self.start or 0) if self.type == "Real" else int(self.start or 0)
+CAPABILITIES = ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative", "needsExecutionTool",
+                "hasEventMode")  # fmt: skip
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU 2.0 for co-simulation."""
+    """An FMU for co-simulation, of FMI 2.0 or 3.0."""
 
     path: Path
     sha256: str
@@ -70,9 +45,15 @@ class Fmu:
     once_per_process: bool
     capabilities: Mapping[str, bool]
     variables: Mapping[str, Variable]
-    units: Mapping[str, Any]  # {unit: exponents, factor, offset}
+    units: Mapping[str, Unit]
     python_modules: Mapping[str, str]  # {top-level module a Python FMU brings: digest}
     description_xml: str  # modelDescription.xml
+    initial_dependencies: Mapping[str, tuple[str, ...] | None]  # {output: inputs it depends on in initialization}
+
+    @property
+    def version(self) -> int:
+        """2 or 3."""
+        return int(self.fmi_version[0])
 
     @cached_property
     def vectors(self) -> dict[str, dict[str, Variable]]:
@@ -90,6 +71,20 @@ class Fmu:
             return {"": self.variables[name]}
         return self.vectors.get(name, {})
 
+    def elements(self, variable: Variable) -> list[Variable]:
+        """Of an element of an array: all elements, in order; of a scalar: itself."""
+        if not variable.shape:
+            return [variable]
+        return self._arrays[variable.reference]
+
+    @cached_property
+    def _arrays(self) -> dict[int, list[Variable]]:
+        found: dict[int, list[Variable]] = {}
+        for variable in self.variables.values():
+            if variable.shape:
+                found.setdefault(variable.reference, []).append(variable)
+        return found
+
     def names(self, causality: str) -> list[str]:
         """Vectors and scalars of one causality, a vector once."""
         found: dict[str, None] = {}
@@ -100,17 +95,11 @@ class Fmu:
         return list(found)
 
 
-def split_axis(name: str) -> tuple[str, str]:
-    """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""
-    if name.endswith("]"):
-        head, _, axis = name[:-1].rpartition("[")
-        return head, axis
-    head, _, axis = name.rpartition(".")
-    return (head, axis) if head else (name, "")
+def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
+    """Read and check an FMU.  structure: {structural parameter: value}, for the shapes of its arrays.
 
-
-def read(path: Path) -> Fmu:
-    """Read and check an FMU.  Raises FmuError, with a sentence, for anything that cannot run here."""
+    Raises FmuError, with a sentence, for anything that cannot run here.
+    """
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -128,20 +117,24 @@ def read(path: Path) -> Fmu:
         raise FmuError(f"{path} is no FMU: it has no {DESCRIPTION}")
     description = _description(path)
     version = str(description.fmiVersion)
-    if not version.startswith("2."):
-        raise FmuError(f"{path} is FMI {version}; orch runs FMI 2.0")
+    if version[:2] not in ("2.", "3."):
+        raise FmuError(f"{path} is FMI {version}; orch runs FMI 2.0 and 3.0")
     slave = description.coSimulation
     if slave is None:
-        raise FmuError(f"{path} has no co-simulation interface, only Model Exchange; export it for Co-Simulation")
-    _check_binary(path, names, slave.modelIdentifier)
+        raise FmuError(f"{path} has no co-simulation interface, only {_interfaces(description)}; "
+                       "export it for Co-Simulation")  # fmt: skip
+    _check_binary(path, names, slave.modelIdentifier, int(version[0]))
+    try:
+        found = {variable.name: variable for variable in variables.read(description, structure or {})}
+    except ValueError as error:
+        raise FmuError(f"{path}: {error}") from None
     return Fmu(
         path, hashlib.sha256(content).hexdigest(), version, description.modelName, description.description or "",
-        description.guid, slave.modelIdentifier, description.generationTool or "",
+        description.guid or description.instantiationToken, slave.modelIdentifier, description.generationTool or "",
         "python" if "resources/slavemodule.txt" in names else "native",
         bool(slave.canBeInstantiatedOnlyOncePerProcess),
-        {name: bool(getattr(slave, name)) for name in ("canGetAndSetFMUstate", "canSerializeFMUstate",
-                                                        "providesDirectionalDerivative", "needsExecutionTool")},
-        dict(_variables(description)), dict(_units(description)), modules, text,
+        {name: bool(getattr(slave, name)) for name in CAPABILITIES}, found, units.defined(description), modules, text,
+        _initial_dependencies(description),
     )  # fmt: skip
 
 
@@ -156,11 +149,15 @@ def unpack(fmu: Fmu, folder: Path) -> None:
         raise FmuError(f"{fmu.path} is damaged: {error}") from None
 
 
-def platform_folder() -> tuple[str, str]:
-    """FMI 2.0's name of this platform, and the suffix of its shared libraries."""
-    if sys.platform.startswith("win"):
-        return "win64", ".dll"
-    return ("darwin64", ".dylib") if sys.platform == "darwin" else ("linux64", ".so")
+def platform_folder(version: int = 2) -> tuple[str, str]:
+    """FMI's name of this platform, and the suffix of its shared libraries."""
+    system, suffix = ("windows", ".dll") if sys.platform.startswith("win") else ("linux", ".so")
+    if sys.platform == "darwin":
+        system, suffix = "darwin", ".dylib"
+    if version == 2:
+        return {"windows": "win64", "linux": "linux64", "darwin": "darwin64"}[system], suffix
+    machine = platform.machine().lower()
+    return f"{MACHINES.get(machine, machine)}-{system}", suffix
 
 
 def _checked_names(path: Path, archive: zipfile.ZipFile) -> set[str]:
@@ -187,8 +184,24 @@ def _description(path: Path) -> Any:
         raise FmuError(f"{path}: modelDescription.xml cannot be read: {text or type(error).__name__}") from None
 
 
-def _check_binary(path: Path, names: set[str], identifier: str) -> None:
-    folder, suffix = platform_folder()
+def _interfaces(description: Any) -> str:
+    if description.modelExchange is not None:
+        return "Model Exchange"
+    return "Scheduled Execution" if description.scheduledExecution is not None else "none"
+
+
+def _initial_dependencies(description: Any) -> dict[str, tuple[str, ...] | None]:
+    found: dict[str, tuple[str, ...] | None] = {}
+    for unknown in description.initialUnknowns:
+        if unknown.variable is not None and unknown.variable.causality == "output":
+            depends = unknown.dependencies
+            inputs = None if depends is None else tuple(d.name for d in depends if d.causality == "input")
+            found[unknown.variable.name] = inputs
+    return found
+
+
+def _check_binary(path: Path, names: set[str], identifier: str, version: int) -> None:
+    folder, suffix = platform_folder(version)
     if f"binaries/{folder}/{identifier}{suffix}" in names:
         return
     has = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
@@ -207,33 +220,3 @@ def _python_modules(archive: zipfile.ZipFile, names: set[str]) -> Iterator[tuple
             digests.setdefault(module, hashlib.sha256()).update(name.encode() + archive.read(name))
     for module, digest in digests.items():
         yield module, digest.hexdigest()
-
-
-def _variables(description: Any) -> Iterator[tuple[str, Variable]]:
-    unknowns = {id(u.variable): u for u in description.outputs}
-    has_inputs = any(v.causality == "input" for v in description.modelVariables)
-    for v in description.modelVariables:
-        unknown = unknowns.get(id(v))
-        dependencies = unknown.dependencies if unknown is not None else None
-        # FMI 2.0, 2.2.8: without a list of dependencies, an unknown depends on all inputs.
-        feedthrough = has_inputs if dependencies is None else any(d.causality == "input" for d in dependencies)
-        declared = v.declaredType
-        items = tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else ()
-        unit = v.unit or (declared.unit if declared is not None else None) or ""
-        yield v.name, Variable(v.name, v.valueReference, v.type, v.causality or "local", unit, v.start,
-                               v.description or "", v.causality == "output" and feedthrough, items,
-                               _limits(v))  # fmt: skip
-
-
-def _limits(variable: Any) -> tuple[float, float] | None:
-    if variable.type != "Real" or variable.min is None or variable.max is None:
-        return None
-    return float(variable.min), float(variable.max)
-
-
-def _units(description: Any) -> Iterator[tuple[str, Any]]:
-    for unit in description.unitDefinitions or ():
-        base = unit.baseUnit
-        if base is not None:
-            exponents = tuple(getattr(base, n) or 0 for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"))
-            yield unit.name, (exponents, float(base.factor), float(base.offset))

@@ -1,5 +1,7 @@
-"""One FMU instance, driven through FMPy's bindings; every status is checked, every message kept."""
+"""One instance of an FMU 2.0, driven through ctypes; every status is checked, every message kept.
 
+`instance3` is the same for FMI 3.0, `remote` for an instance in another process, `builtin` for what is no FMU.
+"""
 from __future__ import annotations
 
 import atexit
@@ -8,33 +10,43 @@ import ctypes
 import itertools
 import re
 from collections import deque
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .errors import FmuError
-from .fmu import Fmu, Variable
+from .fmu import Fmu, platform_folder
+from .variables import ACCESSORS, DTYPES, Variable
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
-STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal")
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal")
+CO_SIMULATION = 1  # fmi2Type
 TERMINATED = 3  # fmi2StatusKind
-
-CTYPES: dict[str, Any] = {
-    "real": ctypes.c_double, "integer": ctypes.c_int, "boolean": ctypes.c_int, "string": ctypes.c_char_p,
-}  # fmt: skip
 
 _ENVIRONMENTS = itertools.count(1)
 _MESSAGES: dict[int, deque[str]] = {}  # by environment
 
 
 class CallFailed(Exception):
-    """An FMI call that gave an error.  `.status`: fmi2Discard, fmi2Error or fmi2Fatal."""
+    """An FMI call that gave an error.  `.status`: DISCARD, ERROR or FATAL."""
 
-    def __init__(self, status: int, words: str):
+    def __init__(self, version: int, status: int, words: str):
         self.status = status
-        name = STATUS[status] if 0 <= status < len(STATUS) else f"status {status}"
+        name = f"fmi{version}{STATUS[status]}" if 0 <= status < len(STATUS) else f"status {status}"
         super().__init__(f'{name}: "{words}"' if words else f"{name}, without a word")
+
+    @classmethod
+    def of(cls, status: int, text: str) -> CallFailed:
+        """One in words of its own."""
+        error = cls.__new__(cls)
+        error.status, error.args = status, (text,)
+        return error
+
+    def __reduce__(self) -> Any:  # it travels between processes
+        return CallFailed.of, (self.status, str(self))
 
 
 class Library:
@@ -42,96 +54,160 @@ class Library:
     load."""
 
     def __init__(self, fmu: Fmu, folder: Path):
-        from fmpy.fmi2 import FMU2Slave
-
-        self.fmu, self._resources = fmu, (folder / "resources").as_uri()
+        self.fmu, self.folder = fmu, folder
+        platform, suffix = platform_folder(fmu.version)
+        path = folder / "binaries" / platform / f"{fmu.model_identifier}{suffix}"
         try:
-            # FMPy's bindings take milliseconds to make, and serve any instance.
-            self._slave = FMU2Slave(guid=fmu.guid, unzipDirectory=str(folder), modelIdentifier=fmu.model_identifier)
-        except Exception as error:  # FMPy raises what dlopen says
+            # Not through FMPy's bindings, which refuse a library that lacks a function nobody calls.
+            self._library = ctypes.CDLL(str(path))
+        except OSError as error:
             raise FmuError(f"{fmu.path} cannot be loaded: {error}") from None
         with contextlib.suppress(AttributeError):  # pythonfmu 0.7.0 frees its state twice at exit unless asked before
-            atexit.register(self._slave.dll.finalizePythonInterpreter)
-
-    def instantiate(self, name: str, callbacks: Any) -> Any:
-        """The component, None where the FMU refuses.  callbacks: must live as long as the component."""
-        from fmpy.fmi2 import fmi2CoSimulation
-
-        guid, resources = self.fmu.guid.encode(), self._resources.encode()
-        return self._slave.fmi2Instantiate(
-            name.encode(), fmi2CoSimulation, guid, resources, ctypes.byref(callbacks), False, True
-        )
+            atexit.register(self._library.finalizePythonInterpreter)
 
     def function(self, name: str) -> Any:
-        """The FMI function itself: without the argument types that FMPy declares and ctypes would check each time."""
-        return self._slave.dll[name]
+        """A function of FMI.  Raises FmuError where the library has none of that name."""
+        try:
+            return self._library[name]
+        except AttributeError:
+            raise FmuError(f"{self.fmu.path} cannot be run: its library has no {name}") from None
 
 
 class Instance:
-    """A live FMU.  Raises FmuError where it cannot be instantiated."""
+    """A live FMU.  Raises FmuError where it cannot be instantiated.
+
+    `component`: what FMI's functions take first; `batched`: whether its step sets and gets too.
+    """
+
+    version = 2
+    batched = False
 
     def __init__(self, name: str, library: Library):
         self.name, self.fmu = name, library.fmu
         self.healthy = self._begun = False
         self.function = library.function
-        environment = next(_ENVIRONMENTS)
-        self._messages = _MESSAGES[environment] = deque[str](maxlen=20)
-        # Must live as long as the instance.
-        self._callbacks = _callbacks_for(environment, formats=self.fmu.packaging != "python")
-        self.component = library.instantiate(name, self._callbacks)
+        self._environment = next(_ENVIRONMENTS)
+        self._messages = _MESSAGES[self._environment] = deque[str](maxlen=20)
+        self.component = self._instantiate(library)
         if self.component is None:
             raise FmuError(f"{self.fmu.path} cannot be instantiated as {name!r}{self._words(': ')}")
         self.healthy = True
 
+    def _instantiate(self, library: Library) -> Any:
+        """The component, None where the FMU refuses."""
+        # Must live as long as the instance.
+        self._callbacks = _callbacks_for(self._environment, formats=self.fmu.packaging != "python")
+        resources = (library.folder / "resources").as_uri().encode()
+        instantiate = self.function("fmi2Instantiate")
+        instantiate.restype = ctypes.c_void_p
+        return instantiate(self.name.encode(), CO_SIMULATION, self.fmu.guid.encode(), resources,
+                           ctypes.byref(self._callbacks), 0, 1)  # fmt: skip
+
     def call(self, name: str, *arguments: Any) -> None:
-        """Call an FMI function of this instance.  Raises CallFailed."""
-        self.check(self.function(name)(ctypes.c_void_p(self.component), *arguments))
+        """Call an FMI function of this instance, without its prefix.  Raises CallFailed."""
+        self.check(self._function(name)(ctypes.c_void_p(self.component), *arguments))
+
+    def _function(self, name: str) -> Any:
+        return self.function(f"fmi{self.version}{name}")
 
     def check(self, status: int) -> None:
-        """Raise CallFailed unless the status is fmi2OK or fmi2Warning."""
+        """Raise CallFailed unless the status is OK or a warning."""
         if status > WARNING or status < 0:
             # A Python FMU that has raised must never be called or freed again (it segfaults).
             self.healthy = self.healthy and status == DISCARD
-            raise CallFailed(status, self._words())
+            raise CallFailed(self.version, status, self._words())
 
-    def setup(self, stop_time: float | None, values: Mapping[str, Any]) -> None:
+    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
         """Enter initialization mode with parameters and start values.  Raises CallFailed."""
-        defined = stop_time is not None
-        self.call("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), int(defined),
+        self._set_up_experiment(start_time, stop_time)
+        self.assign(values)
+        self.call("EnterInitializationMode")
+
+    def _set_up_experiment(self, start_time: float, stop_time: float | None) -> None:
+        self.call("SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(start_time), int(stop_time is not None),
                   ctypes.c_double(stop_time or 0.0))  # fmt: skip
-        for name, value in values.items():
-            self.set(self.fmu.variables[name], value)
-        self.call("fmi2EnterInitializationMode")
 
     def begin(self) -> None:
         """Leave initialization mode: steps may follow.  Raises CallFailed."""
-        self.call("fmi2ExitInitializationMode")
+        self.call("ExitInitializationMode")
         self._begun = True
 
-    def set(self, variable: Variable, value: Any) -> None:
-        """Set one variable.  Raises CallFailed."""
-        kind = variable.kind
-        if kind == "string":
-            value = str(value).encode()
-        self.call(f"fmi2Set{kind.capitalize()}", ctypes.byref(ctypes.c_uint(variable.reference)), ctypes.c_size_t(1),
-                  ctypes.byref(CTYPES[kind](value)))  # fmt: skip
+    def assign(self, values: Mapping[str, Any]) -> None:
+        """Set variables by name; an array whole, where one of its elements is named.  Raises CallFailed."""
+        arrays: dict[int, list[Any]] = {}
+        for name, value in values.items():
+            variable = self.fmu.variables[name]
+            if variable.shape:
+                elements = arrays.setdefault(variable.reference, self.fmu.elements(variable))
+                elements[variable.element] = (variable, value)
+            else:
+                self._set([variable], [value])
+        for elements in arrays.values():
+            chosen = [e if isinstance(e, tuple) else (e, e.initial) for e in elements]
+            self._set([v for v, _ in chosen], [value for _, value in chosen])
 
-    def get(self, variable: Variable) -> Any:
-        """The value of a variable that is no text.  Raises CallFailed."""
-        value = CTYPES[variable.kind]()
-        self.call(f"fmi2Get{variable.kind.capitalize()}", ctypes.byref(ctypes.c_uint(variable.reference)),
-                  ctypes.c_size_t(1), ctypes.byref(value))  # fmt: skip
-        return value.value
+    def _set(self, variables: list[Variable], values: list[Any]) -> None:
+        kind = variables[0].kind
+        if kind == "string":
+            values = [str(value).encode() for value in values]
+        elif kind == "binary":
+            values = [value if isinstance(value, bytes) else bytes.fromhex(value) for value in values]
+        buffer = np.empty(len(values), dtype=DTYPES[kind])
+        buffer[:] = values
+        self.check(self.exchange("Set", kind, references_of(variables[:1]), buffer)())
+
+    def values(self, variable: Variable) -> dict[str, Any]:
+        """{name: value} of a number as it is now, of an array all elements; nothing of an instance that is batched.
+
+        Raises CallFailed.
+        """
+        if self.batched:
+            return {}
+        elements = self.fmu.elements(variable)
+        buffer = np.zeros(len(elements), dtype=DTYPES[variable.kind])
+        self.check(self.exchange("Get", variable.kind, references_of([variable]), buffer)())
+        return dict(zip((element.name for element in elements), buffer.tolist(), strict=True))
+
+    def room(self, kind: str, n: int) -> Any:
+        """(n,) values of a kind, where a batched instance takes its inputs from and gives its outputs to."""
+        return np.zeros(n, dtype=DTYPES[kind])
+
+    def exchange(self, verb: str, kind: str, references: Any, buffer: Any) -> Callable[[], Any]:
+        """A getter or setter without arguments; it returns the status.
+
+        verb: "Get" or "Set"; references: (n,) uint32; buffer: the values, which must stay where they are.
+        """
+        call = partial(
+            self.function(self.accessor(verb, kind)), ctypes.c_void_p(self.component),
+            references.ctypes.data_as(ctypes.c_void_p), ctypes.c_size_t(len(references)),
+        )  # fmt: skip
+        if kind == "string":
+            return partial(exchange_strings, call, verb == "Get", buffer, (ctypes.c_char_p * len(buffer))(), ())
+        return partial(call, buffer.ctypes.data_as(ctypes.c_void_p))
+
+    def accessor(self, verb: str, kind: str) -> str:
+        """The name of FMI's getter or setter."""
+        return f"fmi{self.version}{verb}{ACCESSORS[self.version][kind]}"
+
+    def stepper(self, h: float) -> Callable[[ctypes.c_double], Any]:
+        """doStep from a time on, over h [s]; it returns the status."""
+        component, step, do_step = ctypes.c_void_p(self.component), ctypes.c_double(h), self._function("DoStep")
+        return lambda t: do_step(component, t, step, 1)
+
+    def address(self, function: str) -> int:
+        return ctypes.cast(self.function(function), ctypes.c_void_p).value or 0
+
+    def program(self) -> tuple[Any, ...]:
+        """How the compiled loop steps it: version of FMI, component, address of the function, FMI 3.0's answers."""
+        return self.version, self.component, self.address(f"fmi{self.version}DoStep"), None
 
     def wants_to_end(self) -> bool:
-        """After fmi2Discard: whether the FMU asks to end the simulation.
+        """After a discarded step: whether the FMU asks to end the simulation.
 
         pythonfmu's library answers no status query; its only word for it is the discarded step.
         """
         ended = ctypes.c_int(0)
-        status = self.function("fmi2GetBooleanStatus")(
-            ctypes.c_void_p(self.component), TERMINATED, ctypes.byref(ended)
-        )
+        status = self._function("GetBooleanStatus")(ctypes.c_void_p(self.component), TERMINATED, ctypes.byref(ended))
         if status > WARNING:
             return self.fmu.packaging == "python"
         return bool(ended.value)
@@ -142,9 +218,9 @@ class Instance:
             return
         self.healthy = False
         component = ctypes.c_void_p(self.component)
-        if self._begun and self.function("fmi2Terminate")(component) > WARNING:
+        if self._begun and self._function("Terminate")(component) > WARNING:
             return
-        self.function("fmi2FreeInstance")(component)
+        self._function("FreeInstance")(component)
 
     def take_messages(self) -> list[str]:
         """What the FMU has said since the last call, each sentence once."""
@@ -169,9 +245,7 @@ def _callbacks(formats: bool) -> Any:
     from fmpy.logging import addLoggerProxy
 
     def logger(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-        messages = _MESSAGES.get(environment or 0)
-        if messages is not None and status > OK:
-            messages.append(_plain((message or b"").decode(errors="replace")))
+        keep(environment, status, message)
 
     callbacks = fmi2CallbackFunctions()
     callbacks.logger = fmi2CallbackLoggerTYPE(logger)
@@ -180,6 +254,27 @@ def _callbacks(formats: bool) -> Any:
     if formats:
         addLoggerProxy(ctypes.byref(callbacks))
     return callbacks, logger
+
+
+def keep(environment: int | None, status: int, message: bytes | None) -> None:
+    """Keep a message of the instance with that environment, where it is more than news."""
+    messages = _MESSAGES.get(environment or 0)
+    if messages is not None and status > OK:
+        messages.append(_plain((message or b"").decode(errors="replace")))
+
+
+def references_of(variables: Sequence[Variable]) -> Any:
+    """(n,) value references: one of each scalar, and one of each whole array."""
+    return np.array([v.reference for v in variables if not v.element], dtype=np.uint32)
+
+
+def exchange_strings(call: Any, reads: bool, buffer: Any, strings: Any, more: tuple[Any, ...]) -> Any:
+    if not reads:
+        strings[:] = list(buffer)
+    status = call(strings, *more)
+    if reads:
+        buffer[:] = [text or b"" for text in strings]  # valid only until the next call
+    return status
 
 
 def _callbacks_for(environment: int, formats: bool) -> Any:

@@ -17,11 +17,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from .chatter import Alternations
-from .member import AT_ONCE, PERIOD_END, TICK_END, Member, MemberFailed, failing, function_name
+from .instance import references_of
+from .member import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Member, MemberFailed, failing
 from .system import System
 from .timing import EVERY, Timing
+from .variables import FLOATS, NUMBERS, OBJECTS, Variable
 
-NUMBERS = ("real", "integer", "boolean")
 NOT_FINITE = -1  # beside the statuses of FMI
 
 
@@ -65,8 +66,8 @@ class Loop(Protocol):
 def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
     """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
     compiled = extension()
-    strings = system.computed["string"] < len(system.tables["string"]) or len(system.recorded["string"])
-    kind = InterpretedLoop if compiled is None or strings else CompiledLoop
+    objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
+    kind = InterpretedLoop if compiled is None or objects else CompiledLoop
     return kind(system, alternations, timing, interrupt)
 
 
@@ -88,11 +89,11 @@ class InterpretedLoop:
         self.ticks = 0
         self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
         self._members = [
-            (number, member, member.part.period, _sum_of_squares(member, system))
+            (number, member, member.part.period, *_calls(member), _sums_of_squares(member, system))
             for number, member in enumerate(system.members)
         ]
         self._ending = [(m, m.part.period) for m in system.members if m.publish[TICK_END] or m.publish[PERIOD_END]]
-        self._checked = system.tables["real"][: system.computed["real"]]
+        self._checked = [system.tables[kind][:n] for kind in FLOATS if (n := system.computed[kind])]
         self._rows = _Rows(system)
         self.take = self._rows.take
 
@@ -105,13 +106,13 @@ class InterpretedLoop:
             if flag[0] or (timed and clock() > deadline):
                 return
             t = ctypes.c_double(grid.time(k))
-            for number, member, period, sum_of_squares in self._members:
+            for number, member, period, sets, gets, sums_of_squares in self._members:
                 if period > 1 and k % period:
                     continue
                 marks = [clock()] if timed else None
                 for gather in member.gathers:
                     gather()
-                for set_ in member.sets:
+                for set_ in sets:
                     if (status := set_()) != 0:
                         _check(member, status)
                 if marks:
@@ -120,11 +121,12 @@ class InterpretedLoop:
                     _check(member, status)
                 if marks:
                     marks.append(clock())
-                for get in member.gets:
+                for get in gets:
                     if (status := get()) != 0:
                         _check(member, status)
-                if sum_of_squares is not None and not math.isfinite(sum_of_squares()):
-                    _check_finite(member)
+                for sum_of_squares in sums_of_squares:
+                    if not math.isfinite(sum_of_squares()):
+                        _check_finite(member)
                 for publish in member.publish[AT_ONCE]:
                     publish()
                 if marks:
@@ -136,9 +138,10 @@ class InterpretedLoop:
                 if (k + 1) % period == 0:
                     for publish in member.publish[PERIOD_END]:
                         publish()
-            if not math.isfinite(checked.dot(checked)):
-                for member in self._system.members:
-                    _check_finite(member)
+            for values in checked:
+                if not math.isfinite(values.dot(values)):
+                    for member in self._system.members:
+                        _check_finite(member)
             self.ticks = k + 1
             self._alternations.look(self.ticks)
             if self.ticks % stride == 0:
@@ -156,10 +159,11 @@ class CompiledLoop:
         self._rows = _Rows(system)
         self.take = self._rows.take
         # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
-        holds_lock = any(member.part.fmu.packaging == "python" for member in system.members)
+        holds_lock = any(m.instance.batched or m.part.fmu.packaging == "python" for m in system.members)
         self._loop = extension().Loop(
             [_program(member) for member in system.members],
             tuple(system.tables[kind] for kind in NUMBERS),
+            tuple(system.computed[kind] for kind in FLOATS),
             tuple(system.recorded[kind] for kind in NUMBERS),
             alternations.arrays(),
             (timing.seconds, timing.samples, EVERY),
@@ -184,24 +188,28 @@ class CompiledLoop:
 
 def _program(member: Member) -> tuple[Any, ...]:
     """A component as `_loop.c` takes it."""
+    instance = member.instance
 
-    def number(kind: str) -> int:
-        return NUMBERS.index(kind)
+    def call(verb: str, kind: str, variables: list[Variable], buffer: Any) -> tuple[Any, ...]:
+        address = 0 if instance.batched else instance.address(instance.accessor(verb, kind))
+        return NUMBERS.index(kind), address, references_of(variables), buffer
 
     sets = [
-        (number(i.kind), member.address(function_name("Set", i.kind)), i.references, i.buffer, i.sources)
+        (*call("Set", i.kind, i.variables, i.buffer), (i.sources, i.targets), _conversions(i.conversions))
         for i in member.inputs
     ]
-    gets = [
-        (number(o.kind), member.address(function_name("Get", o.kind)), o.references, o.buffer, None)
-        for o in member.outputs
-    ]
+    gets = [(*call("Get", o.kind, o.variables, o.buffer), None, None) for o in member.outputs]
     published = tuple(
-        [(number(p.kind), p.buffer, p.chosen, p.targets) for p in member.publications if p.moment == moment]
+        [(NUMBERS.index(p.kind), p.buffer, p.chosen, p.targets) for p in member.publications if p.moment == moment]
         for moment in (AT_ONCE, TICK_END, PERIOD_END)
     )
-    step = member.address("fmi2DoStep")
-    return member.instance.component, step, member.h, member.part.period, sets, gets, published
+    return (*instance.program(), member.h, member.part.period, sets, gets, published)
+
+
+def _conversions(conversions: Sequence[Conversion]) -> Any:
+    """As `_loop.c` has them in a struct; None where there are none."""
+    rows = [(NUMBERS.index(c.kind), c.source, c.target, c.factor, c.offset) for c in conversions]
+    return np.array(rows, dtype="i8,i8,i8,f8,f8") if rows else None
 
 
 class _Rows:
@@ -246,10 +254,16 @@ class _Rows:
             self._clear()
 
 
-def _sum_of_squares(member: Member, system: System) -> Callable[[], Any] | None:
-    """Of real outputs that do not lie in the table yet when the component has stepped: not finite where one is not."""
-    staged = len(member.values) and not np.shares_memory(member.values, system.tables["real"])
-    return partial(member.values.dot, member.values) if staged else None
+def _calls(member: Member) -> tuple[list[Action], list[Action]]:
+    """The setters and getters that the loop calls itself."""
+    return ([], []) if member.instance.batched else (member.sets, member.gets)
+
+
+def _sums_of_squares(member: Member, system: System) -> list[Callable[[], Any]]:
+    """Of floats that do not lie in the table yet when the component has stepped: not finite where one is not."""
+    tables = [system.tables[kind] for kind in FLOATS]
+    buffers = [buffer for _, buffer in member.floats]
+    return [partial(b.dot, b) for b in buffers if not any(np.shares_memory(b, table) for table in tables)]
 
 
 def _check(member: Member, status: int) -> None:

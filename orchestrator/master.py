@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from .builtin import Live
 from .chatter import Alternations
 from .instance import DISCARD
 from .loop import Block, Interrupt, Loop, choose
@@ -42,6 +43,8 @@ class Outcome:
     error: str = ""
     failed_at: float | None = None
     stopped_at: float | None = None
+    last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
+    heard: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)  # by components that steer: see builtin
     warnings: list[str] = field(default_factory=list)
     timing: dict[str, Any] = field(default_factory=dict)  # see timing
     calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
@@ -76,18 +79,19 @@ class Watcher:
 
 def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
-    outcome = Outcome("completed")
+    outcome, interrupt = Outcome("completed"), interrupt or Interrupt()
     try:
         system.initialize()
         outcome.calculated = system.calculated()
         for observer in observers:
             if isinstance(observer, Watcher):
                 observer.opened(system)
-        _step_all(system, observers, outcome, interrupt or Interrupt())
+        _step_all(system, observers, outcome, interrupt)
     except MemberFailed as failure:
-        _fail(system, outcome, _cause(system, failure))
+        _fail(system, outcome, _cause(system, failure), interrupt)
     except AlgebraicLoop as loop:
         outcome.status, outcome.error, outcome.failed_at = "failed", str(loop), 0.0
+    outcome.heard = {m.part.name: m.instance.heard for m in system.members if isinstance(m.instance, Live)}
     outcome.warnings += [
         f"{member.part.name}: {words}" for member in system.members for words in member.instance.take_messages()
     ]
@@ -102,14 +106,19 @@ def _cause(system: System, failure: MemberFailed) -> MemberFailed:
     return failure
 
 
-def _fail(system: System, outcome: Outcome, failure: MemberFailed) -> None:
+def _fail(system: System, outcome: Outcome, failure: MemberFailed, interrupt: Interrupt) -> None:
     grid = system.plan.experiment.grid
+    if interrupt.is_set() and failure.member.instance.batched:  # and did not answer
+        outcome.status = "interrupted"
+        outcome.error = f"interrupted at t = {grid.time(outcome.ticks):.10g} s; {failure.name!r}: {failure}"
+        return
     if failure.status == DISCARD and failure.member.instance.wants_to_end():
         outcome.stopped_at = grid.time(outcome.ticks)
         return
     outcome.status = "failed"
     outcome.failed_at = grid.time(outcome.ticks)
     outcome.error = f"{failure.name!r} failed at t = {outcome.failed_at:.10g} s: {failure}"
+    outcome.last_inputs = failure.member.last_inputs()
 
 
 def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt) -> None:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from .fmu import Variable
-from .instance import CallFailed, Instance
+from .instance import CallFailed, Instance, references_of
 from .plan import Part
+from .variables import FLOATS, Variable
 
 AT_ONCE, TICK_END, PERIOD_END = range(3)  # when what a component has computed becomes visible: see `master`
 
@@ -22,13 +19,30 @@ Action = Callable[[], Any]
 
 
 @dataclass(frozen=True)
-class Input:
-    """Values of one kind that one FMI call writes.  `sources`: places in the table; `buffer`: where they gather."""
+class Conversion:
+    """input = factor * output + offset, from a place in the table of its kind to a place in a buffer."""
 
     kind: str
-    references: Any
-    sources: Any
+    source: int
+    target: int
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Input:
+    """Values of one kind that one FMI call writes.
+
+    `buffer`: where they gather: at its `targets` what lies at the `sources` of the table of their kind, and what is
+    converted.
+    """
+
+    kind: str
+    variables: list[Variable]
     buffer: Any
+    sources: Any
+    targets: Any
+    conversions: Sequence[Conversion] = ()
 
 
 @dataclass(frozen=True)
@@ -36,7 +50,7 @@ class Output:
     """Values of one kind that one FMI call reads into `buffer`."""
 
     kind: str
-    references: Any
+    variables: list[Variable]
     buffer: Any
 
 
@@ -56,7 +70,8 @@ class Member:
     """A component in the loop.
 
     Each step: `gathers` (table to buffers), `sets`, `step`, `gets`, `publish[AT_ONCE]`.  `publish[TICK_END]` follows
-    when all components of the tick have stepped, `publish[PERIOD_END]` when its own step has ended.
+    when all components of the tick have stepped, `publish[PERIOD_END]` when its own step has ended.  An instance that
+    is `batched` does the calls of `sets` and `gets` within its step.
     """
 
     part: Part
@@ -69,72 +84,63 @@ class Member:
     sets: list[Action] = field(default_factory=list)
     gets: list[Action] = field(default_factory=list)
     publish: tuple[list[Action], ...] = field(default_factory=lambda: ([], [], []))
-    reals: list[Variable] = field(default_factory=list)  # its real outputs, where `gets` write them, their places
-    values: Any = ()
+    floats: list[tuple[list[Variable], Any]] = field(default_factory=list)  # outputs, and where `gets` write them
+    reals: list[Variable] = field(default_factory=list)  # its real outputs, and their places in the table
     places: Sequence[int] = ()
 
     def __post_init__(self) -> None:
-        component, h = ctypes.c_void_p(self.instance.component), ctypes.c_double(self.h)
-        do_step = self.instance.function("fmi2DoStep")
-        self.step: Callable[[ctypes.c_double], Any] = lambda t: do_step(component, t, h, 1)
+        self.step = self.instance.stepper(self.h)
 
-    def reads(self, kind: str, variables: list[Variable], table: Any, buffer: Any, sources: Any) -> None:
-        """Before each step the values at `sources` of the table go into `variables`."""
-        # take() copies first where source and target overlap: these two views do not.
-        self.inputs.append(Input(kind, _references(variables), sources, buffer))
-        self.gathers.append(partial(table.take, sources, None, buffer, "clip"))
-        self.sets.append(self._call("Set", self.inputs[-1], reads=False))
+    def reads(self, input: Input, tables: Mapping[str, Any]) -> None:
+        """Before each step the values gather in the input's buffer, and go into the FMU.  tables: the outputs."""
+        self.inputs.append(input)
+        buffer, sources = input.buffer, input.sources
+        if len(input.sources) == len(buffer):
+            # take() copies first where source and target overlap, which they do not.
+            self.gathers.append(partial(tables[input.kind].take, sources, None, buffer, "clip"))
+        elif len(input.sources):
+            self.gathers.append(partial(_copy, tables[input.kind], sources, buffer, input.targets))
+        if input.conversions:
+            self.gathers.append(partial(_convert, tables, input.conversions, buffer))
+        self.sets.append(self.instance.exchange("Set", input.kind, references_of(input.variables), buffer))
 
     def gives(self, kind: str, variables: list[Variable], buffer: Any) -> None:
-        """After each step `variables` go into the buffer."""
-        self.outputs.append(Output(kind, _references(variables), buffer))
-        self.gets.append(self._call("Get", self.outputs[-1], reads=True))
+        """After each step the variables go into the buffer."""
+        if kind in FLOATS:
+            self.floats.append((variables, buffer))
+        self.outputs.append(Output(kind, variables, buffer))
+        self.gets.append(self.instance.exchange("Get", kind, references_of(variables), buffer))
 
-    def publishes(self, kind: str, moment: int, buffer: Any, chosen: Any, table: Any, targets: Any) -> None:
-        def publish() -> None:
-            table[targets] = buffer[chosen]
-
-        self.publications.append(Publication(kind, moment, buffer, chosen, targets))
-        self.publish[moment].append(publish)
+    def publishes(self, publication: Publication, table: Any) -> None:
+        self.publications.append(publication)
+        self.publish[publication.moment].append(
+            partial(_copy, publication.buffer, publication.chosen, table, publication.targets)
+        )
 
     def not_finite(self) -> str:
-        """The first real output that is not finite, as a sentence, or ""."""
-        for variable, value in zip(self.reals, self.values, strict=True):
-            if not math.isfinite(value):
-                return f"{variable.causality} {variable.name} is not finite: {value}"
+        """The first output that is not finite, as a sentence, or ""."""
+        for variables, values in self.floats:
+            for variable, value in zip(variables, values, strict=True):
+                if not math.isfinite(value):
+                    return f"{variable.causality} {variable.name} is not finite: {value}"
         return ""
 
-    def address(self, function: str) -> int:
-        return ctypes.cast(self.instance.function(function), ctypes.c_void_p).value or 0
-
-    def _call(self, verb: str, exchange: Input | Output, reads: bool) -> Action:
-        """The FMI getter or setter without arguments; returns the status."""
-        n, buffer = len(exchange.references), exchange.buffer
-        call = partial(
-            self.instance.function(function_name(verb, exchange.kind)), ctypes.c_void_p(self.instance.component),
-            ctypes.c_void_p(exchange.references.ctypes.data), ctypes.c_size_t(n),
-        )  # fmt: skip
-        if exchange.kind != "string":
-            return partial(call, ctypes.c_void_p(buffer.ctypes.data))
-        strings = (ctypes.c_char_p * n)()
-
-        def exchange_strings() -> Any:
-            if not reads:
-                strings[:] = list(buffer)
-            status = call(strings)
-            if reads:
-                buffer[:] = [text or b"" for text in strings]  # valid only until the next call
-            return status
-
-        return exchange_strings
+    def last_inputs(self) -> dict[str, Any]:
+        """{input: value} of what it was given last."""
+        found: dict[str, Any] = {}
+        for input in self.inputs:
+            values = zip(input.variables, input.buffer, strict=True)
+            found |= {v.name: value.item() if hasattr(value, "item") else str(value) for v, value in values}
+        return found
 
 
-def function_name(verb: str, kind: str) -> str:
-    return f"fmi2{verb}{kind.capitalize()}"
+def _copy(source: Any, chosen: Any, target: Any, places: Any) -> None:
+    target[places] = source[chosen]
 
 
-def _references(variables: list[Variable]) -> Any:
-    return np.array([v.reference for v in variables], dtype=np.uint32)
+def _convert(tables: Mapping[str, Any], conversions: Sequence[Conversion], buffer: Any) -> None:
+    for c in conversions:
+        buffer[c.target] = c.factor * float(tables[c.kind][c.source]) + c.offset
 
 
 class MemberFailed(Exception):

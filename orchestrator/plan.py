@@ -10,7 +10,8 @@ from functools import cached_property
 from typing import Any
 
 from .experiment import Experiment
-from .fmu import Fmu, Variable
+from .fmu import Fmu
+from .variables import Variable
 
 
 @dataclass(frozen=True)
@@ -23,16 +24,32 @@ class Part:
     period: int  # ticks of the master
     parameters: Mapping[str, Any]  # {FMI variable: value}
     start: Mapping[str, Any]
+    isolated: bool = False  # runs in a process of its own
+    live: bool = False  # a builtin: what it does depends on the world outside
+    timeout: float | None = None  # s of wall time that one of its steps may take, when isolated
 
 
 @dataclass(frozen=True)
 class Link:
-    """One scalar connection."""
+    """One scalar connection: input = factor * output + offset."""
 
     sink: str
     input: Variable
     source: str
     output: Variable
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def direct(self) -> bool:
+        """Whether the value is copied as it is."""
+        return self.input.kind == self.output.kind and self.factor == 1.0 and self.offset == 0.0
+
+    @property
+    def ends(self) -> list[Any]:
+        """Input and output by name, and what lies between them where it is not direct."""
+        names: list[Any] = [f"{self.sink}.{self.input.name}", f"{self.source}.{self.output.name}"]
+        return names if self.factor == 1.0 and self.offset == 0.0 else [*names, self.factor, self.offset]
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,7 @@ class Plan:
     links: tuple[Link, ...]
     recorded: tuple[tuple[str, Variable], ...]
     notes: tuple[str, ...]
+    created: str = ""  # when, where a component is live: each such run is one of its kind
     watched: tuple[tuple[str, Variable], ...] = ()
 
     @property
@@ -65,7 +83,7 @@ class Plan:
     def resolved(self) -> dict[str, Any]:
         """The whole of it, as JSON can hold it."""
         master, record = self.experiment.master, self.experiment.record
-        return {
+        found: dict[str, Any] = {
             "title": self.experiment.title,
             "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
                        "seed": master.seed},
@@ -74,15 +92,22 @@ class Plan:
                  "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
                 for p in self.parts
             ],
-            "connections": sorted([f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in self.links),
+            "connections": sorted(link.ends for link in self.links),
             "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
         }  # fmt: skip
+        return found | ({"created": self.created} if self.created else {})
+
+    @property
+    def live(self) -> bool:
+        """Whether something steers from outside."""
+        return any(part.live for part in self.parts)
 
     @cached_property
     def digest(self) -> str:
         """The SHA-256 of what decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
         components = [{k: v for k, v in c.items() if k != "fmu"} for c in self.resolved["components"]]
-        deciding = {**{k: self.resolved[k] for k in ("master", "connections", "record")}, "components": components}
+        keys = [key for key in ("master", "connections", "record", "created") if key in self.resolved]
+        deciding = {**{key: self.resolved[key] for key in keys}, "components": components}
         text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -18,8 +18,8 @@ from matplotlib.lines import Line2D
 from . import overview
 from .differences import differences
 from .errors import OrchError, StoreError, did_you_mean
-from .fmu import split_axis
 from .panels import GREY, STYLE, Curve, Panel, colour, draw_rows, plain, symbol
+from .variables import split_axis
 from .wiring import matches
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +30,16 @@ from .loop import Block
 from .master import Outcome
 from .metrics import finite
 from .plan import Plan
-from .store import FORMAT, FORMAT_VERSION, being_written, first_line, patiently
+from .store import FORMAT, FORMAT_VERSION, HEARD, being_written, first_line, patiently
+from .variables import DTYPES, Variable
 
 CHUNK_ROWS = 1024
 FLUSH_SECONDS = 1.0
 ROOM = 1 << 16  # bytes kept free in the file for its last attributes
 HEADER = 1 << 12  # bytes that a signal takes without its values, and a node of its index, at most
+REFERENCE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.int32)])
 PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
-DTYPES: dict[str, Any] = {
-    "real": np.dtype(np.float64), "integer": np.dtype(np.int32), "boolean": np.dtype(np.int8),
-    "string": h5py.string_dtype(),
-}  # fmt: skip
+STORED = {"boolean": np.int8, "truth": np.int8, "string": h5py.string_dtype()}  # the others as they are
 
 
 class Recorder:
@@ -90,11 +89,14 @@ class Recorder:
         with self._room(self._size(last, blocks)):
             for kind, datasets in self._datasets.items():
                 rows = np.concatenate([block.values[kind] for block in blocks])
-                for dataset, values in zip(datasets, np.ascontiguousarray(rows.T), strict=True):
-                    _append(dataset, first, values)
+                columns, column = np.ascontiguousarray(rows.T), 0
+                for dataset in datasets:
+                    n = math.prod(dataset.shape[1:])
+                    _append(dataset, first, columns[column : column + n])
+                    column += n
             self.file.flush()
             grid = self._plan.experiment.grid
-            _append(self._time, first, np.array([grid.time(tick) for tick in ticks]))
+            _append(self._time, first, np.array([[grid.time(tick) for tick in ticks]]))
         self._rows, self.ticks = last, ticks[-1]
 
     def finish(self, outcome: Outcome) -> tuple[float, float]:
@@ -113,12 +115,28 @@ class Recorder:
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
                 attributes[name] = getattr(outcome, name)
-        texts = [*outcome.warnings, *calculated.values()]
-        with self._room(sum(map(len, texts)) * 2 + HEADER * len(calculated)):
+        if outcome.last_inputs:
+            attributes["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
+        heard = sum(16 + values.nbytes for values_of in outcome.heard.values() for _, values in values_of)
+        texts = [*map(str, attributes.values()), *calculated.values()]
+        with self._room(2 * sum(map(len, texts)) + HEADER * len(calculated) + 2 * heard):
             self.file.attrs.update(attributes)
             for component, text in calculated.items():
                 self.file[component].attrs["calculated"] = text
+            self._keep_heard(outcome)
         return wall_time, factor
+
+    def _keep_heard(self, outcome: Outcome) -> None:
+        """What components heard from outside, wherever it changed."""
+        for component, heard in outcome.heard.items():
+            if heard:
+                group = self.file.create_group(f"{HEARD}/{component}")
+                times = group.create_dataset("time", data=np.array([t for t, _ in heard]), fletcher32=True)
+                times.make_scale("time")
+                values = group.create_dataset("values", data=np.array([values for _, values in heard]), fletcher32=True)
+                axis = group.create_dataset("values_dim1", data=np.arange(1, values.shape[1] + 1))
+                axis.make_scale("values_dim1")
+                _attach_scales(values, [times, axis])
 
     def close(self, status: str, metrics: Mapping[str, float] | None = None) -> None:
         """The last thing written is the status."""
@@ -159,10 +177,12 @@ class Recorder:
 
     def _size(self, last: int, blocks: list[Block]) -> int:
         """How many bytes the rows up to `last` take at most: new chunks, their places in the index, texts."""
-        rows = self._time.chunks[0]
-        chunks = -(-last // rows) - -(-self._rows // rows)
         datasets = [self._time, *(dataset for group in self._datasets.values() for dataset in group)]
-        values = sum(chunks * (rows * dataset.dtype.itemsize + HEADER) for dataset in datasets)
+        values = 0
+        for dataset in datasets:
+            rows = dataset.chunks[0]
+            chunks = -(-last // rows) - -(-self._rows // rows)
+            values += chunks * (math.prod(dataset.chunks) * dataset.dtype.itemsize + HEADER)
         texts = [text for block in blocks if "string" in block.values for text in block.values["string"].flat]
         return int(values) + sum(len(text) + 32 for text in texts)
 
@@ -170,7 +190,7 @@ class Recorder:
         plan, file = self._plan, self.file
         file.attrs.update(attributes)
         rows = plan.steps // plan.stride + 1
-        self._time = _dataset(file, "time", DTYPES["real"], rows)
+        self._time = _dataset(file, "time", np.dtype(np.float64), rows)
         self._time.make_scale("time")
         self._time.attrs.update({"units": "s", "long_name": "simulated time"})
         for part in plan.parts:
@@ -181,17 +201,32 @@ class Recorder:
             )  # fmt: skip
         self._datasets: dict[str, list[Any]] = {}
         references = []
-        for component, variable in plan.recorded:
-            dataset = _dataset(file[component], variable.name, DTYPES[variable.kind], rows)
-            attributes = {"units": variable.unit or "1", "long_name": variable.description or variable.name,
+        for component, variable, shape in _datasets_of(plan):
+            group, name = file[component], variable.array if shape else variable.name
+            dataset = _dataset(group, name, np.dtype(STORED.get(variable.kind, DTYPES[variable.kind])), rows, shape)
+            attributes = {"units": variable.unit or "1", "long_name": variable.description or name,
                           "causality": variable.causality}  # fmt: skip
             dataset.attrs.update(attributes)
-            _attach_scale(dataset, self._time)
+            scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(shape, 1)]
+            for i, scale in enumerate(scales, 1):
+                scale.make_scale(f"{name}_dim{i}")
+                scale.attrs.create("REFERENCE_LIST", np.array([(dataset.ref, i)], dtype=REFERENCE))
+            _attach_scales(dataset, [self._time, *scales])
             references.append((dataset.ref, 0))
             self._datasets.setdefault(variable.kind, []).append(dataset)
         if references:  # the other half of attach_scale, for all signals at once
-            kind = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.int32)])
-            self._time.attrs.create("REFERENCE_LIST", np.array(references, dtype=kind))
+            self._time.attrs.create("REFERENCE_LIST", np.array(references, dtype=REFERENCE))
+
+
+def _datasets_of(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
+    """Component, first variable and shape of each dataset: an array that is recorded whole is one."""
+    recorded = {(component, variable.name) for component, variable in plan.recorded}
+    fmus = {part.name: part.fmu for part in plan.parts}
+    for component, variable in plan.recorded:
+        if not all((component, element.name) in recorded for element in fmus[component].elements(variable)):
+            yield component, variable, ()
+        elif not variable.element:
+            yield component, variable, variable.shape
 
 
 def _attributes(plan: Plan, run_id: str) -> dict[str, Any]:
@@ -246,35 +281,39 @@ def _reserve(descriptor: int, path: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _dataset(group: Any, name: str, dtype: Any, rows: int) -> Any:
-    """An empty dataset of at most `rows`.
+def _dataset(group: Any, name: str, dtype: Any, rows: int, shape: tuple[int, ...] = ()) -> Any:
+    """An empty dataset of at most `rows`, each of a `shape`.
 
     Bounded, for h5netcdf looks through all signals to learn the length of an unlimited dimension: minutes for 500.
     """
-    checksum = h5py.check_string_dtype(dtype) is None
+    chunk = max(1, min(rows, CHUNK_ROWS // max(1, math.prod(shape))))
     return group.create_dataset(
-        name, shape=(0,), maxshape=(rows,), dtype=dtype, chunks=(min(rows, CHUNK_ROWS),), fletcher32=checksum,
-        track_order=True,
+        name, shape=(0, *shape), maxshape=(rows, *shape), dtype=dtype, chunks=(chunk, *shape),
+        fletcher32=h5py.check_string_dtype(dtype) is None, track_order=True,
     )  # fmt: skip
 
 
-def _append(dataset: Any, first: int, values: Any) -> None:
-    """Write values from `first` on, to the new end."""
-    last = first + len(values)
-    dataset.id.set_extent((last,))
+def _append(dataset: Any, first: int, columns: Any) -> None:
+    """Write rows from `first` on, to the new end.  columns: (values of a row, rows)."""
+    last = first + columns.shape[1]
+    values = columns[0] if dataset.ndim == 1 else np.ascontiguousarray(columns.T).reshape(-1, *dataset.shape[1:])
+    dataset.id.set_extent((last, *dataset.shape[1:]))
     if values.dtype.kind == "O":
         dataset[first:last] = values
         return
+    if values.dtype.kind == "b":  # HDF5 turns no truth into a number
+        values = values.view(np.int8)
     # What h5py's dataset[first:last] does, in a third of the time.
     space = dataset.id.get_space()
-    space.select_hyperslab((first,), (len(values),))
+    space.select_hyperslab((first,) + (0,) * (values.ndim - 1), values.shape)
     dataset.id.write(h5py.h5s.create_simple(values.shape), space, values)
 
 
-def _attach_scale(dataset: Any, scale: Any) -> None:
+def _attach_scales(dataset: Any, scales: Sequence[Any]) -> None:
     """Write DIMENSION_LIST directly: h5py's attach_scale takes quadratic time in the number of signals."""
-    value = np.empty((1,), dtype=object)
-    value[0] = np.array([scale.ref], dtype=h5py.ref_dtype)
+    value = np.empty((len(scales),), dtype=object)
+    for i, scale in enumerate(scales):
+        value[i] = np.array([scale.ref], dtype=h5py.ref_dtype)
     dataset.attrs.create("DIMENSION_LIST", value, dtype=h5py.vlen_dtype(h5py.ref_dtype))
 
 

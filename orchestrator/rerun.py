@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,7 +56,8 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
         raise StoreError(f"{record.path} was made by an orch that did not record {' and '.join(missing)}")
     path = Path(facts["experiment_path"])
     loaded = experiment.parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
-    packaging = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if not c.fmu.endswith(".fmu")}
+    models = [c for c in loaded.components if c.fmu and not c.fmu.endswith(".fmu")]
+    packaging = {c.fmu: record.fact(c.name, "packaging") for c in models}
     built: dict[str, Path] = {}
     for kind in sorted(set(packaging.values())):
         names = sorted(name for name, its in packaging.items() if its == kind)
@@ -64,6 +66,8 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
         except build.BuildError as error:
             raise StoreError(f"{record.path}: {error}") from None
     plan = resolve(loaded, built, {})
+    if plan.live:
+        plan = dataclasses.replace(plan, created=facts["experiment_resolved"]["created"])
     for part in plan.parts:
         was = record.fact(part.name, "fmu_sha256")
         if part.fmu.sha256 != was:
@@ -72,10 +76,25 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     return plan
 
 
+def replay_of(record: Run, plan: Plan) -> dict[str, dict[str, Any]]:
+    """What the components that steer hear in place of the world outside: what they heard then.
+
+    Raises StoreError where the record does not say.
+    """
+    found = {}
+    for part in plan.parts:
+        if part.live:
+            heard = record.heard(part.name)
+            if heard is None:
+                raise StoreError(f"{record.path} does not say what {part.name!r} heard; it cannot be repeated")
+            found[part.name] = {"replay": heard}
+    return found
+
+
 def verify(record: Run, plan: Plan) -> Difference | None:
     """Run the plan of a record into a temporary file; returns what differs, None where nothing does."""
     with tempfile.TemporaryDirectory(prefix="orch-rerun-") as folder:
-        result = runner.execute(plan, Path(folder) / "again.h5")
+        result = runner.execute(plan, Path(folder) / "again.h5", context=replay_of(record, plan))
         with Run(result.file) as again:
             return compare(record, again)
 
@@ -96,13 +115,19 @@ def compare(then: Run, now: Run) -> Difference | None:
     found: dict[str, int] = {}
     for name in ["time", *(name for name in then.signals if name in now.signals)]:
         pair = times if name == "time" else (then[name], now[name])
-        differing = np.flatnonzero(_bits(pair[0][:rows]) != _bits(pair[1][:rows]))
+        unequal = _bits(pair[0][:rows]) != _bits(pair[1][:rows])
+        differing = np.flatnonzero(unequal.reshape(rows, -1).any(axis=1))
         if len(differing):
             found[name] = int(differing[0])
     if not found:
         return Difference((), "", 0.0, None, None, tuple(facts)) if facts else None
     first = min(found, key=lambda name: found[name])
     row = found[first]
+    if then.signals and first != "time" and then[first].ndim > 1:
+        place = tuple(np.argwhere(then[first][row] != now[first][row])[0])
+        index = ",".join(str(i + 1) for i in place)
+        return Difference(tuple(found), f"{first}[{index}]", float(times[0][row]), then[first][(row, *place)].item(),
+                          now[first][(row, *place)].item(), tuple(facts))  # fmt: skip
     old, new = (pair.tolist()[row] for pair in (times if first == "time" else (then[first], now[first])))
     return Difference(tuple(found), first, float(times[0][row]), old, new, tuple(facts))
 

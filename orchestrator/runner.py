@@ -20,7 +20,7 @@ from .master import run as run_master
 from .plan import Plan
 from .recorder import Recorder
 from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_taken
-from .system import System
+from .system import Context, System
 from .wiring import prepare
 
 
@@ -73,14 +73,18 @@ def execute(
     results: str | Path = "results",
     force: bool = False,
     observers: Sequence[Observer] = (),
+    context: Context | None = None,
 ) -> Result:
-    """Run a resolved plan into its record, unless a completed one is there.  Raises OrchError where nothing started."""
+    """Run a resolved plan into its record, unless a completed one is there.
+
+    context: {component: what a builtin may need of the run}.  Raises OrchError where nothing started.
+    """
     run_id, final = _place(plan, output, results)
     if output is None and not force and _status(final) == "completed":
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
     values: Mapping[str, float] = {}
-    with interruptible() as interrupt, System.open(plan, interrupt.is_set) as system:
+    with interruptible() as interrupt, System.open(plan, interrupt.is_set, context) as system:
         # An earlier record stays until the new one is completed.
         path = _beside(final) if final.exists() else final
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from . import metrics
 from .errors import ExperimentError, OrchError
-from .fmu import Fmu, split_axis
+from .fmu import Fmu
 from .metrics import finite
 from .plan import Plan
 from .timing import PHASES
+from .variables import split_axis
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from .runner import Result

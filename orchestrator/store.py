@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 FORMAT = "orch-run"
 FORMAT_VERSION = 1
+HEARD = "_heard"  # a group: what components heard from outside
 # Attributes in JSON.
-JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command", "changes", "model_descriptions")
+JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command", "changes", "model_descriptions",
+        "last_inputs")
 ID_LENGTH = 10
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
 
@@ -37,6 +39,7 @@ class Run:
     """A read-only handle on a record.
 
     run["vehicle1.eta.x"] is its (N,) array, run["vehicle1.eta"] the (N, 6) array of a vector, run.time the times [s].
+    An array of FMI 3.0 is one signal, run["camera.image"] (N, *shape), and run["camera.image[1,2]"] an element of it.
     Raises StoreError where the file is no record.
     """
 
@@ -80,6 +83,11 @@ class Run:
     def __getitem__(self, name: str) -> Any:
         if name in self.signals:
             return self._read(name)
+        array, _, place = name.rstrip("]").rpartition("[")
+        if array in self.signals and name.endswith("]"):
+            values, index = self._read(array), tuple(int(n) - 1 for n in place.split(",") if n.isdecimal())
+            if len(index) == values.ndim - 1 and all(0 <= i < n for i, n in zip(index, values.shape[1:], strict=True)):
+                return values[(slice(None), *index)]
         axes = [s for s in self.signals if s.startswith((name + ".", name + "[")) and "." not in s[len(name) + 1 :]]
         if not axes:
             near = did_you_mean(name, sorted({s.rpartition(".")[0] for s in self.signals}), "recorded")
@@ -109,11 +117,22 @@ class Run:
 
     def units(self, name: str) -> str:
         component, _, variable = name.partition(".")
+        if name not in self.signals and name.endswith("]"):
+            variable = variable.rpartition("[")[0]
         return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
 
     def fact(self, component: str, name: str) -> Any:
         """An attribute of a component, such as fmu_sha256 or packaging."""
         return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
+
+    def heard(self, component: str) -> tuple[Any, Any] | None:
+        """What a component heard from outside: times [s] at which it changed (M,), values (M, n).  None: nothing."""
+
+        def values(file: h5py.File) -> tuple[Any, Any] | None:
+            group = file.get(f"{HEARD}/{component}")
+            return None if group is None else (group["time"][:], group["values"][:])
+
+        return self._get("what it heard", values)
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -140,7 +159,14 @@ class Run:
         """All signals as columns, indexed by time [s]."""
         import pandas as pd
 
-        return pd.DataFrame({name: self._read(name) for name in self.signals}, index=pd.Index(self.time, name="time"))
+        columns = {name: values for signal in self.signals for name, values in self._columns(signal)}
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+
+    def _columns(self, signal: str) -> Iterator[tuple[str, Any]]:
+        values = self._read(signal)
+        for index in np.ndindex(values.shape[1:]):
+            place = ",".join(str(i + 1) for i in index)
+            yield f"{signal}[{place}]" if place else signal, values[(slice(None), *index)]
 
 
 class Store:
@@ -185,7 +211,7 @@ class Store:
 
 
 def _signals(file: h5py.File) -> list[str]:
-    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group)}
+    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group) and name != HEARD}
     return [f"{component}.{variable}" for component, group in groups.items() for variable in _datasets(group)]
 
 
@@ -194,7 +220,7 @@ def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
     for name, item in group.items():
         if isinstance(item, h5py.Group):
             yield from _datasets(item, f"{above}{name}/")
-        else:
+        elif not item.is_scale:
             yield above + name
 
 

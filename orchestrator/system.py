@@ -8,32 +8,35 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .errors import FmuError
-from .fmu import Fmu, Variable, unpack
+from .builtin import Live
+from .fmu import Fmu, unpack
 from .instance import Instance, Library
-from .member import AT_ONCE, PERIOD_END, TICK_END, Member, MemberFailed, failing
-from .plan import Part, Plan
+from .instance3 import Instance3
+from .member import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, MemberFailed, Publication, failing
+from .plan import Link, Part, Plan
+from .remote import Remote
+from .variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 
-DTYPES = {"real": np.float64, "integer": np.int32, "boolean": np.int32, "string": object}
-KINDS = tuple(DTYPES)
+Context = Mapping[str, Mapping[str, Any]]
 
-_loaded_modules: dict[str, tuple[str, Path]] = {}  # by Python FMUs of this process: digest and FMU
+_loaded_modules: dict[str, str] = {}  # by Python FMUs of this process: their digests
 
 
 class System:
     """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
     outputs; `recorded`: {kind: places}."""
 
-    def __init__(self, plan: Plan, interrupted: Callable[[], bool] = bool):
-        self.plan, self._interrupted = plan, interrupted
+    def __init__(self, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None):
+        self.plan, self._interrupted, self._context = plan, interrupted, context or {}
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
@@ -49,12 +52,14 @@ class System:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, plan: Plan, interrupted: Callable[[], bool] = bool) -> Iterator[System]:
-        """Instantiate the FMUs; frees them at the end.
+    def open(
+        cls, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None
+    ) -> Iterator[System]:
+        """Instantiate the FMUs; frees them at the end.  context: {component: what a builtin may need}.
 
         Raises FmuError where one cannot be instantiated, KeyboardInterrupt where it was `interrupted` meanwhile.
         """
-        system = cls(plan, interrupted)
+        system = cls(plan, interrupted, context)
         try:
             yield system
         finally:
@@ -76,7 +81,7 @@ class System:
             part = member.part
             fits = self.plan.steps % part.period == 0  # else its last step ends beyond the stop time
             with failing(member):
-                member.instance.setup(stop_time if fits else None, {**part.parameters, **part.start})
+                member.instance.setup(0.0, stop_time if fits else None, {**part.parameters, **part.start})
         for _ in range(100):
             before = [table.copy() for table in self.tables.values()]
             for member in self.members:
@@ -106,9 +111,11 @@ class System:
         """
         found: dict[str, dict[str, Any]] = {}
         for member in self.members:
-            variables = [v for v in member.part.fmu.variables.values() if v.causality == "calculatedParameter"]
-            with failing(member):
-                values = {v.name: member.instance.get(v) for v in variables if v.kind != "string"}
+            values: dict[str, Any] = {}
+            for variable in member.part.fmu.variables.values():
+                if variable.causality == "calculatedParameter" and not variable.element and variable.kind in NUMBERS:
+                    with failing(member):
+                        values |= member.instance.values(variable)
             if values:
                 found[member.part.name] = values
         return found
@@ -130,33 +137,50 @@ class System:
 
     def _instantiate(self) -> None:
         libraries: dict[Path, Library] = {}
-        master = self.plan.experiment.master
+        folders: dict[Path, Path] = {}
         for part in self.plan.parts:
             if self._interrupted():
                 raise KeyboardInterrupt
             path = part.fmu.path
-            if path not in libraries:
-                folder = Path(self._folder.name) / str(len(libraries)) / part.fmu.model_identifier
-                unpack(part.fmu, folder)
-                _claim_modules(part.fmu)
-                libraries[path] = Library(part.fmu, folder)
-            instance = Instance(part.name, libraries[path])
-            h = self.plan.experiment.grid.time(part.period) if part.period > 1 else master.step
-            self.members.append(Member(part, instance, h))
+            if path not in folders and not part.live:
+                folders[path] = Path(self._folder.name) / str(len(folders)) / part.fmu.model_identifier
+                unpack(part.fmu, folders[path])
+            if part.live:
+                context = {"interrupted": self._interrupted, **self._context.get(part.name, {})}
+                instance: Instance = Live(part.name, part.fmu, context, context.get("replay"))
+            else:
+                instance = self._instance(part, folders[path], libraries)
+            self.members.append(Member(part, instance, self._step_of(part)))
         # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
         ours = [p for p in sys.path if p.startswith(self._folder.name)]
         sys.path[:] = [p for p in sys.path if p not in ours] + ours
 
+    def _instance(self, part: Part, folder: Path, libraries: dict[Path, Library]) -> Instance:
+        path = part.fmu.path
+        if part.isolated or _clash(part.fmu):
+            isolated = sum(isinstance(member.instance, Remote) for member in self.members) + 1
+            spin = isolated < len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else False
+            return Remote(part.name, part.fmu, folder, part.timeout, spin, self._interrupted)
+        if path not in libraries:
+            _loaded_modules.update(part.fmu.python_modules)
+            libraries[path] = Library(part.fmu, folder)
+        return (Instance if part.fmu.version == 2 else Instance3)(part.name, libraries[path])
+
+    def _step_of(self, part: Part) -> float:
+        """Of the component [s]."""
+        return self.plan.experiment.grid.time(part.period) if part.period > 1 else self.plan.experiment.master.step
+
     def _wire(self) -> None:
         plan = self.plan
-        sources = {(k.sink, k.input.name): (k.source, k.output.name) for k in plan.links}
+        links = {(k.sink, k.input.name): k for k in plan.links}
         read = {(k.source, k.output.name): k.output for k in plan.links} | {
             (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
         }
-        outputs = _Ports((*key, v) for key, v in read.items() if v.causality != "input")
+        fmus = {part.name: part.fmu for part in plan.parts}
+        outputs = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality != "input"))
         # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
-        driven = _Ports((k.sink, k.input.name, k.input) for k in plan.links)
-        held = _Ports((*key, v) for key, v in read.items() if v.causality == "input" and key not in sources)
+        driven = _Ports(fmus, ((k.sink, k.input) for k in plan.links))
+        held = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality == "input"), besides=driven)
         place = self.places
 
         def reserve(part: Part, ports: _Ports) -> None:
@@ -172,54 +196,79 @@ class System:
             reserve(part, driven)
             reserve(part, held)
         for kind in KINDS:
-            start: Any = b"" if kind == "string" else 0
+            start: Any = b"" if kind in OBJECTS else 0
             self.tables[kind] = np.full(len(self._names[kind]), start, dtype=DTYPES[kind])
             places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
             self.recorded[kind] = np.array(places, dtype=np.intp)
         for member in self.members:
+            name = member.part.name
             for kind in KINDS:
-                name = member.part.name
-                if variables := driven.of(name, kind):
-                    origins = np.array([place[sources[name, v.name]] for v in variables], dtype=np.intp)
-                    self._wire_inputs(member, kind, variables, place[name, variables[0].name], origins)
-                if variables := outputs.of(name, kind):
-                    self._wire_outputs(member, kind, variables, place[name, variables[0].name])
-                for variable in held.of(name, kind):
+                for variable in [*driven.of(name, kind), *held.of(name, kind)]:
                     value = member.part.start.get(variable.name, variable.initial)
                     self.tables[kind][place[name, variable.name]] = value.encode() if kind == "string" else value
+                if variables := driven.of(name, kind):
+                    self._wire_inputs(member, kind, variables, place, [links.get((name, v.name)) for v in variables])
+                if variables := outputs.of(name, kind):
+                    self._wire_outputs(member, kind, variables, place[name, variables[0].name])
 
-    def _wire_inputs(self, member: Member, kind: str, variables: list[Variable], first: int, sources: Any) -> None:
-        table = self.tables[kind]
-        member.reads(kind, variables, table[: self.computed[kind]], table[first : first + len(variables)], sources)
+    def _wire_inputs(
+        self, member: Member, kind: str, variables: list[Variable], place: Mapping[tuple[str, str], int],
+        links: list[Link | None],
+    ) -> None:  # fmt: skip
+        first, n = place[member.part.name, variables[0].name], len(variables)
+        buffer = self.tables[kind][first : first + n]
+        if member.instance.batched:
+            buffer = member.instance.room(kind, n)
+            buffer[:] = self.tables[kind][first : first + n]
+        sources, targets, conversions = [], [], []
+        for target, link in enumerate(links):
+            if link is None:  # an element of an array of which others are connected
+                continue
+            source = place[link.source, link.output.name]
+            if link.direct:
+                sources.append(source)
+                targets.append(target)
+            else:
+                conversions.append(Conversion(link.output.kind, source, target, link.factor, link.offset))
+        direct = np.array(sources, dtype=np.intp), np.array(targets, dtype=np.intp)
+        computed = {kind: table[: self.computed[kind]] for kind, table in self.tables.items()}
+        member.reads(Input(kind, variables, buffer, *direct, conversions), computed)
+        if member.instance.batched and self.plan.experiment.record.inputs:
+            everything = np.arange(n, dtype=np.intp)
+            member.publishes(Publication(kind, AT_ONCE, buffer, everything, everything + first), self.tables[kind])
 
     def _wire_outputs(self, member: Member, kind: str, variables: list[Variable], first: int) -> None:
         table, n = self.tables[kind], len(variables)
         jacobi = self.plan.experiment.master.algorithm == "jacobi"
-        if member.part.period == 1 and not jacobi:
+        if member.part.period == 1 and not jacobi and not member.instance.batched:
             buffer = table[first : first + n]
         else:
-            buffer = np.zeros(n, dtype=DTYPES[kind])
+            buffer = member.instance.room(kind, n) if member.instance.batched else np.zeros(n, dtype=DTYPES[kind])
             at_once = [i for i, v in enumerate(variables) if v.feedthrough or member.part.period == 1]
             later = [i for i in range(n) if i not in at_once]
             for chosen, moment in ((at_once, TICK_END if jacobi else AT_ONCE), (later, PERIOD_END)):
                 if chosen:
                     places = np.array(chosen, dtype=np.intp)
-                    member.publishes(kind, moment, buffer, places, table, places + first)
+                    member.publishes(Publication(kind, moment, buffer, places, places + first), table)
         if kind == "real":
-            member.reals, member.values, member.places = variables, buffer, range(first, first + n)
+            member.reals, member.places = variables, range(first, first + n)
         member.gives(kind, variables, buffer)
 
 
 class _Ports:
-    """Variables by component and kind, in the order of the FMU."""
+    """Variables by component and kind, in the order of the FMU; of an array all elements, but for those `besides`."""
 
-    def __init__(self, ports: Iterable[tuple[str, str, Variable]]):
+    def __init__(
+        self, fmus: Mapping[str, Fmu], ports: Iterable[tuple[str, Variable]], besides: _Ports | None = None
+    ):
         self._found: dict[tuple[str, str], dict[str, Variable]] = {}
-        for component, name, variable in ports:
-            self._found.setdefault((component, variable.kind), {})[name] = variable
+        for component, port in ports:
+            for variable in fmus[component].elements(port):
+                if besides is None or variable.name not in besides._found.get((component, variable.kind), {}):
+                    self._found.setdefault((component, variable.kind), {})[variable.name] = variable
 
     def of(self, component: str, kind: str) -> list[Variable]:
-        return sorted(self._found.get((component, kind), {}).values(), key=lambda v: v.reference)
+        return sorted(self._found.get((component, kind), {}).values(), key=lambda v: (v.reference, v.element))
 
 
 class AlgebraicLoop(Exception):
@@ -231,18 +280,12 @@ class AlgebraicLoop(Exception):
                          "break it with a component whose output does not depend on its input at once")  # fmt: skip
 
 
-def _claim_modules(fmu: Fmu) -> None:
-    """Refuse a Python FMU whose modules this process already knows as something else: it would compute with those."""
+def _clash(fmu: Fmu) -> bool:
+    """Whether a Python FMU brings a module that this process already knows as something else: it would compute with
+    that."""
     for module, digest in fmu.python_modules.items():
         if module.startswith(f"{fmu.model_identifier}_{fmu.guid[:12]}"):
             continue  # packaged by us: the name holds the digest of the content
-        if module not in _loaded_modules:
-            if module in sys.modules:
-                where = getattr(sys.modules[module], "__file__", None) or "Python itself"
-                raise FmuError(f"{fmu.path} brings a Python module {module!r}, which this process has already loaded "
-                               f"from {where}; rename the module in the FMU")  # fmt: skip
-            _loaded_modules[module] = (digest, fmu.path)
-        its_digest, other = _loaded_modules[module]
-        if its_digest != digest:
-            raise FmuError(f"{fmu.path} brings another Python module {module!r} than {other}, which this process has "
-                           "already loaded; run it in a new process")  # fmt: skip
+        if _loaded_modules.get(module, digest) != digest or (module not in _loaded_modules and module in sys.modules):
+            return True
+    return False

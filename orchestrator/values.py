@@ -6,31 +6,39 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from .errors import did_you_mean
-from .fmu import Fmu, Variable
+from .fmu import Fmu
+from .variables import DTYPES, FLOATS, TRUTHS, WHOLE, Variable
 
-INTEGER_LIMIT = 1 << 31
 
-
-def flatten(fmu: Fmu, causality: str, table: Mapping[str, Any]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def flatten(
+    fmu: Fmu, causalities: tuple[str, ...], table: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """{FMI variable: value} of a table such as { t_b = 6.0, K_p = { x = 100.0 }, "K_i.z" = 0.5 }.
 
     Vectors first, so that a single axis named beside them wins.  Returns the values and (key, sentence) problems.
     """
     values: dict[str, Any] = {}
+    causality = causalities[0]
     problems: list[tuple[str, str]] = []
     for name, value in sorted(table.items(), key=lambda item: item[0] in fmu.variables):
         found = fmu.lookup(name)
         if not found:
             problems.append((name, f"no {causality} {name!r}{did_you_mean(name, fmu.names(causality), 'it has')}"))
-        elif any(v.causality != causality for v in found.values()):
-            problems.append((name, f"is no {causality} but {next(iter(found.values())).causality}"))
+        elif any(v.causality not in causalities or v.fixed for v in found.values()):
+            problems.append((name, f"is no {causality} but {_what(next(iter(found.values())))}"))
         else:
             try:
                 values |= {v.name: _typed(v, value) for v, value in _spread(name, found, value)}
             except ValueError as error:
                 problems.append((name, str(error)))
     return values, problems
+
+
+def _what(variable: Variable) -> str:
+    return "a constant" if variable.fixed else variable.causality
 
 
 def _spread(name: str, variables: Mapping[str, Variable], value: Any) -> list[tuple[Variable, Any]]:
@@ -65,11 +73,16 @@ def _matrix(variables: Mapping[str, Variable], rows: list[Any]) -> list[tuple[Va
 
 def _typed(variable: Variable, value: Any) -> Any:
     """The value as its FMI type.  Raises ValueError where it is none."""
-    what = f"{variable.name} is {variable.type}, not {value!r}"
-    if variable.type == "Boolean" and isinstance(value, bool):
+    kind, what = variable.kind, f"{variable.name} is {variable.type}, not {value!r}"
+    if kind in TRUTHS and isinstance(value, bool):
         return value
-    if variable.type == "String" and isinstance(value, str):
+    if kind == "string" and isinstance(value, str) and "\0" not in value:
         return value
+    if kind == "binary" and isinstance(value, str):
+        try:
+            return bytes.fromhex(value).hex()  # what JSON can hold
+        except ValueError:
+            raise ValueError(f"{variable.name} is Binary; give its bytes as hexadecimal digits") from None
     if variable.type == "Enumeration" and isinstance(value, str):
         items = dict(variable.items)
         if value not in items:
@@ -77,12 +90,15 @@ def _typed(variable: Variable, value: Any) -> Any:
         return items[value]
     if isinstance(value, bool):
         raise ValueError(what)
-    if variable.type == "Real" and isinstance(value, (int, float)):
+    if kind in FLOATS and isinstance(value, (int, float)):
         if not math.isfinite(value):
             raise ValueError(f"{variable.name} is {value}; give a finite number")
+        if abs(value) > np.finfo(DTYPES[kind]).max:
+            raise ValueError(f"{variable.name} = {value} does not fit {variable.type}")
         return float(value)
-    if variable.type in ("Integer", "Enumeration") and isinstance(value, int):
-        if not -INTEGER_LIMIT <= value < INTEGER_LIMIT:
-            raise ValueError(f"{variable.name} = {value} does not fit 32 bits")
+    if kind in WHOLE and isinstance(value, int):
+        limits = np.iinfo(DTYPES[kind])
+        if not limits.min <= value <= limits.max:
+            raise ValueError(f"{variable.name} = {value} does not fit {limits.bits} bits ({variable.type})")
         return value
     raise ValueError(what)

@@ -5,19 +5,24 @@
 
 from __future__ import annotations
 
+import datetime
 import fnmatch
 import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from . import build, metrics
+import numpy as np
+
+from . import build, builtin, metrics
 from .errors import ExperimentError, FmuError, Problem, did_you_mean
-from .experiment import Component, Experiment
-from .fmu import Fmu, Variable, read
+from .experiment import Component, Connection, Experiment
+from .fmu import Fmu, read
 from .mavlink import settings as mavlink
 from .plan import Link, Part, Plan
+from .units import conversion
 from .values import flatten
+from .variables import DTYPES, FLOATS, NUMBERS, OBJECTS, TRUTHS, WHOLE, Variable
 
 
 def resolve(experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]) -> Plan:
@@ -34,12 +39,13 @@ class _Resolver:
         self.problems = list(experiment.problems)
         self.notes = list(experiment.notes)
         self.fmus: dict[str, Fmu] = {}  # by component
+        self.isolated: dict[str, str] = {}  # components that run in processes of their own, and why
         self.broken: set[str] = set()  # inputs whose connection or start value is a problem
         self.components = {c.name: c for c in experiment.components}
 
     def plan(self) -> Plan:
         self.read_fmus()
-        self.find_clashes()
+        self.isolate()
         parts = [self.part(c) for c in self.experiment.components if c.name in self.fmus]
         links = self.links()
         driven: dict[str, set[str]] = {part.name: set() for part in parts}
@@ -52,38 +58,66 @@ class _Resolver:
         self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(parts))
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
-        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), tuple(self.notes))
+        now = datetime.datetime.now(datetime.UTC).isoformat() if any(part.live for part in parts) else ""
+        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), tuple(self.notes), now)
 
     def problem(self, key: str, sentence: str) -> None:
         self.problems.append(Problem(key, sentence))
 
     def read_fmus(self) -> None:
-        files: dict[Path, Fmu] = {}
+        files: dict[tuple[Path, str], Fmu] = {}
         for component in self.experiment.components:
+            if component.builtin:
+                try:
+                    self.fmus[component.name] = builtin.describe(component.builtin)
+                except FmuError as error:
+                    self.problem(f"components.{component.name}.builtin", str(error))
             if not component.fmu:
                 continue
             try:
                 if component.fmu in self.unbuilt:
                     raise FmuError(self.unbuilt[component.fmu])
                 path = build.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
-                self.fmus[component.name] = files[path] = files.get(path) or read(path)
+                fmu = files.get((path, "")) or read(path)
+                files[path, ""] = fmu
+                structure = {
+                    n: v for n, v in component.parameters.items()
+                    if n in fmu.variables and fmu.variables[n].causality == "structuralParameter" and type(v) is int
+                }  # fmt: skip
+                key = path, repr(structure or "")
+                self.fmus[component.name] = files[key] = files.get(key) or (read(path, structure) if structure else fmu)
             except FmuError as error:
                 self.problem(f"components.{component.name}.fmu", str(error))
 
-    def find_clashes(self) -> None:
-        """Python FMUs share one interpreter: a module name may mean one thing only."""
-        owner: dict[str, tuple[str, str]] = {}
-        loaded: dict[Path, str] = {}
-        for name, fmu in self.fmus.items():
-            if fmu.once_per_process and loaded.setdefault(fmu.path, name) != name:
-                self.problem(f"components.{name}.fmu", f"{fmu.path.name} can be instantiated only once in a process, "
-                             f"and {loaded[fmu.path]!r} is the first")  # fmt: skip
+    def isolate(self) -> None:
+        """Decide which components run in processes of their own.
+
+        Python FMUs share one interpreter, where a module name may mean one thing only; and some FMUs can be
+        instantiated only once in a process.
+        """
+        owner: dict[str, str] = {}
+        loaded: set[Path] = set()
+        for component in self.experiment.components:
+            name, fmu = component.name, self.fmus.get(component.name)
+            if fmu is None or component.builtin:
+                continue
+            if component.isolation == "process" or component.timeout is not None:
+                self.isolated[name] = "as the experiment says"
+                continue
+            reason = f"{fmu.path.name} can be instantiated only once in a process" * (
+                fmu.once_per_process and fmu.path in loaded
+            )
             for module, digest in fmu.python_modules.items():
-                first, its_digest = owner.setdefault(module, (name, digest))
-                if its_digest != digest:
-                    self.problem(f"components.{name}.fmu", f"{fmu.path.name} and {self.fmus[first].path.name} "
-                                 f"(component {first!r}) bring different Python modules named {module!r}, and one "
-                                 "process can hold only one; rename the module in one of them")  # fmt: skip
+                if owner.get(module, digest) != digest:
+                    reason = f"another Python FMU has a different module {module!r}, and one process can hold only one"
+            if reason and component.isolation == "none":
+                self.problem(f"components.{name}.isolation", f'is "none", but {reason}; leave it out')
+            elif reason:
+                self.isolated[name] = reason
+                self.notes.append(f"{name} runs in a process of its own: {reason}")
+            else:
+                owner |= {module: digest for module, digest in fmu.python_modules.items() if module not in owner}
+                loaded.add(fmu.path)
 
     def part(self, component: Component) -> Part:
         fmu = self.fmus[component.name]
@@ -91,10 +125,12 @@ class _Resolver:
         seed = fmu.variables.get("seed")
         if (
             self.experiment.master.seed is not None and seed is not None and "seed" not in parameters
-            and seed.causality == "parameter" and seed.type == "Integer"
+            and seed.causality == "parameter" and seed.kind in WHOLE
         ):  # fmt: skip
             text = f"{self.experiment.master.seed}/{component.name}"
-            parameters["seed"] = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+            bits = min(32, np.iinfo(DTYPES[seed.kind]).bits)
+            number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+            parameters["seed"] = number >> (33 - bits)
         start: dict[str, Any] = {}
         if isinstance(component.start, Mapping):
             table = dict(component.start)
@@ -105,12 +141,13 @@ class _Resolver:
             start = self.values(component, "start", table)
         grid = self.experiment.grid
         period = grid.ticks(component.step) if component.step is not None else 1
-        return Part(component.name, component.fmu, fmu, period or 1, parameters, start)
+        return Part(component.name, component.fmu or component.builtin, fmu, period or 1, parameters, start,
+                    component.name in self.isolated, bool(component.builtin), component.timeout)  # fmt: skip
 
     def values(self, component: Component, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
         """{FMI variable: value} of a component's table `parameters` or `start`."""
-        causality = "parameter" if section == "parameters" else "input"
-        values, problems = flatten(self.fmus[component.name], causality, table)
+        causalities = ("parameter", "structuralParameter") if section == "parameters" else ("input",)
+        values, problems = flatten(self.fmus[component.name], causalities, table)
         for name, sentence in problems:
             self.problem(f"components.{component.name}.{section}.{name}", sentence)
             if section == "start":
@@ -120,8 +157,8 @@ class _Resolver:
     def links(self) -> list[Link]:
         links: list[Link] = []
         driver: dict[tuple[str, str], str] = {}
-        for sink, source in self.experiment.connections.items():
-            key = f'connections."{sink}"'
+        for sink, connection in self.experiment.connections.items():
+            key, source = f'connections."{sink}"', connection.source
             to, origin = self.end(sink, "input", key), self.end(source, "output", key)
             if to is None or origin is None:
                 self.broken.add(sink)
@@ -135,8 +172,41 @@ class _Resolver:
                 if other != source:
                     self.problem(key, f"{input.name} has two drivers: {other} and {source}; keep one")
                     break
-                links.append(Link(sink_component, input, source_component, output))
+                try:
+                    factor, offset = self.between(connection, sink_component, input, source_component, output)
+                except ValueError as error:
+                    self.problem(key, str(error))
+                    break
+                links.append(Link(sink_component, input, source_component, output, factor, offset))
         return links
+
+    def between(
+        self, connection: Connection, sink: str, input: Variable, source: str, output: Variable
+    ) -> tuple[float, float]:
+        """Factor and offset of one scalar connection.  Raises ValueError where the types or units do not fit."""
+        scaled = connection.gain is not None or connection.offset is not None
+        types = f"{input.name} is {input.type}, {output.name} is {output.type}"
+        if not _holds(input, output):
+            raise ValueError(types)
+        if input.kind in FLOATS and output.kind in WHOLE and not scaled:
+            raise ValueError(f"{types}; say gain = 1.0 to take it as it is")
+        factor, offset = 1.0, 0.0
+        # A gain may carry a unit: newtons for a command between -1 and 1.
+        if connection.unit_check and not (scaled and output.unit in ("", "1")):
+            try:
+                factor, offset = conversion(
+                    output.unit, self.fmus[source].units, input.unit, self.fmus[sink].units
+                )
+            except ValueError as error:
+                raise ValueError(
+                    f"{input.name} is in {input.unit!r}, {output.name} in {output.unit!r}: {error}; "
+                    "connect what fits, or say unit_check = false for this connection"
+                ) from None
+        gain = 1.0 if connection.gain is None else connection.gain
+        factor, offset = gain * factor, gain * offset + (connection.offset or 0.0)
+        if (factor, offset) != (1.0, 0.0) and (input.kind not in FLOATS or output.kind not in (*FLOATS, *WHOLE)):
+            raise ValueError(f"{types}: only what need not be a whole number can be scaled")
+        return factor, offset
 
     def end(self, name: str, causality: str, key: str) -> tuple[str, dict[str, Variable]] | None:
         """The component and variables of one end of a connection."""
@@ -177,23 +247,7 @@ class _Resolver:
             self.problem(key, f"the axes differ: {sink} has {_axes(inputs)}, {source} has {_axes(outputs)}; "
                          "connect them one by one")  # fmt: skip
             return []
-        for input, output in pairs:
-            if input.kind != output.kind:
-                self.problem(key, f"{input.name} is {input.type}, {output.name} is {output.type}")
-                return []
-            if not self.same_unit(input, sink, output, source):
-                self.problem(key, f"{input.name} is in {input.unit!r}, {output.name} in {output.unit!r}")
-                return []
         return pairs
-
-    def same_unit(self, input: Variable, sink: str, output: Variable, source: str) -> bool:
-        if input.unit == output.unit or not input.unit or not output.unit:
-            return True
-        bases = [
-            self.fmus[end.partition(".")[0]].units.get(variable.unit)
-            for end, variable in ((sink, input), (source, output))
-        ]
-        return bases[0] is not None and bases[0] == bases[1]
 
     def unconnected(self, part: Part, driven: set[str]) -> None:
         key = f"components.{part.name}"
@@ -220,7 +274,7 @@ class _Resolver:
             (name, variable)
             for name, fmu in self.fmus.items()
             for variable in fmu.variables.values()
-            if variable.causality in wanted
+            if variable.causality in wanted and variable.kind != "binary"
         ]
         include = [p for p in record.signals if not p.startswith("!")] or ["*"] * bool(record.signals)
         exclude = [p[1:] for p in record.signals if p.startswith("!")]
@@ -236,7 +290,7 @@ class _Resolver:
         ]
 
     def check_metrics(self, recorded: list[tuple[str, Variable]]) -> None:
-        units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind != "string"}
+        units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind in NUMBERS}
         for name, spec in self.experiment.metrics.items():
             ends = [end for end in ("signal", "reference") if end in spec and not self.judges(spec[end])]
             found = metrics.problems(f"metrics.{name}", spec, units)
@@ -246,6 +300,25 @@ class _Resolver:
         """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
         component = str(signal).partition(".")[0]
         return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
+
+
+def _holds(input: Variable, output: Variable) -> bool:
+    """Whether the input can take every value of the output: exactly, but for a Float64 into a Float32."""
+    if input.kind == output.kind or (input.kind in FLOATS and output.kind in FLOATS):
+        return True
+    if input.kind in OBJECTS or output.kind in OBJECTS or input.kind in TRUTHS or output.kind in TRUTHS:
+        return input.kind in TRUTHS and output.kind in TRUTHS
+    if output.kind in FLOATS:
+        return False
+    limits = np.iinfo(DTYPES[output.kind])
+    low, high = int(limits.min), int(limits.max)
+    if output.items:
+        values = [value for _, value in output.items]
+        low, high = min(values), max(values)
+    if input.kind in FLOATS:
+        return max(-low, high) <= 1 << (np.finfo(DTYPES[input.kind]).nmant + 1)
+    limits = np.iinfo(DTYPES[input.kind])
+    return limits.min <= low and high <= limits.max
 
 
 def matches(name: str, pattern: str) -> bool:

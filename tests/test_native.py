@@ -39,7 +39,7 @@ class Calls:
         self.instance, self.variables = Instance("one", Library(fmu, folder)), fmu.variables
 
     def __getattr__(self, call):
-        return lambda *arguments: self.instance.call(call, *arguments)
+        return lambda *arguments: self.instance.call(call.removeprefix("fmi2"), *arguments)
 
     def names(self, *causalities):
         return [n for n, v in self.variables.items() if v.causality in causalities and v.type == "Real"]

@@ -312,10 +312,10 @@ def test_a_record_completed_while_the_fmus_were_loaded_is_not_repeated(python, w
 import orchestrator
 from orchestrator import runner
 
-def late(plan, interrupted, open_=runner.System.open):
+def late(*arguments, open_=runner.System.open):
     runner.System.open = open_
     print(orchestrator.run({str(path)!r}).attributes["wall_time"])
-    return open_(plan, interrupted)
+    return open_(*arguments)
 
 runner.System.open = late
 print(orchestrator.run({str(path)!r}).attributes["wall_time"])

@@ -71,14 +71,15 @@ def test_an_fmu_that_cannot_run_here_says_why(problems, two, tmp_path, xml, word
     assert str(tmp_path / "first.fmu") in found["components.a.fmu"]
 
 
-def test_an_fmi_3_file_is_named_as_such(problems, two, tmp_path):
+def test_an_fmu_of_another_interface_is_named_as_such(problems, two, tmp_path):
     table = two()
     xml = ('<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="first" instantiationToken="{a}">'
-           '<CoSimulation modelIdentifier="first"/><ModelVariables><Float64 name="y" valueReference="1" '
+           '<ScheduledExecution modelIdentifier="first"/><ModelVariables><Float64 name="y" valueReference="1" '
            'causality="output"/></ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure>'
            "</fmiModelDescription>")  # fmt: skip
     write_zip(tmp_path / "first.fmu", {"modelDescription.xml": xml})
-    assert dict(problems(table))["components.a.fmu"] == f"{tmp_path / 'first.fmu'} is FMI 3.0; orch runs FMI 2.0"
+    words = "has no co-simulation interface, only Scheduled Execution"
+    assert words in dict(problems(table))["components.a.fmu"]
 
 
 def test_an_fmu_without_a_binary_for_this_platform_says_which_it_has(problems, two, tmp_path):
@@ -143,19 +144,23 @@ def test_a_library_that_cannot_be_loaded_says_so(orch, write, two, tmp_path):
     assert not (tmp_path / "results").exists()
 
 
-def test_an_fmu_for_one_instance_a_process_is_not_taken_twice(problems, two, tmp_path):
+def test_an_fmu_for_one_instance_a_process_gets_a_process_for_each_further_one(resolve, problems, two, tmp_path):
     table = two(**{"components.b.fmu": "first.fmu"})
     paper_fmu(tmp_path / "first.fmu", options='canBeInstantiatedOnlyOncePerProcess="true"')
-    ((key, sentence),) = problems(table)
-    assert key == "components.b.fmu"
-    assert "only once in a process, and 'a' is the first" in sentence
+    assert [part.isolated for part in resolve(table).parts] == [False, True]
+    ((key, sentence),) = problems(merged(table, {"components.b.isolation": "none"}))
+    assert key == "components.b.isolation"
+    assert "only once in a process" in sentence
 
 
-def test_foreign_fmus_with_different_modules_of_one_name_are_refused_with_both_names(problems, two, foreign):
+def test_foreign_fmus_with_different_modules_of_one_name_run_in_different_processes(resolve, problems, two, foreign):
     changes = {"components.a.fmu": str(foreign.north), "components.b.fmu": str(foreign.south), "connections": {}}
-    ((key, sentence),) = problems(two(**changes))
-    assert key == "components.b.fmu"
-    assert "South.fmu and North.fmu (component 'a') bring different Python modules named 'helper'" in sentence
+    plan = resolve(two(**changes))
+    assert [part.isolated for part in plan.parts] == [False, True]
+    assert any("different module 'helper'" in note for note in plan.notes)
+    ((key, sentence),) = problems(two(**changes, **{"components.b.isolation": "none"}))
+    assert key == "components.b.isolation"
+    assert "different module 'helper'" in sentence
 
 
 # --- Connections ------------------------------------------------------------------------------------------------------
@@ -170,7 +175,7 @@ def test_foreign_fmus_with_different_modules_of_one_name_are_refused_with_both_n
     ({"connections.b.y": "a.y"}, 'connections."b.y"', "'b.y' is an output, not an input; did you mean"),
     ({"connections.b.at": "a.y"}, 'connections."b.at"', "'b.at' is a parameter, not an input"),
     ({"connections.b.u": "a.hidden"}, 'connections."b.u"', "'a.hidden' is a local, not an output"),
-    ({"connections.b.u": "a.steps"}, 'connections."b.u"', "u is Real, steps is Integer"),
+    ({"connections.b.u": "a.steps"}, 'connections."b.u"', "u is Real, steps is Integer; say gain = 1.0"),
     ({"connections.b.flag": "a.steps"}, 'connections."b.flag"', "flag is Boolean, steps is Integer"),
     ({"connections.b.text": "a.y"}, 'connections."b.text"', "text is String, y is Real"),
     ({"connections.b": "a.y"}, 'connections."b"', "no input 'b'"),
@@ -185,14 +190,17 @@ def test_an_enumeration_feeds_an_integer(resolve, two):
     resolve(two(**{"connections.b.count": "a.level"}))
 
 
-@pytest.mark.parametrize(("unit", "fits"), [("m", True), ("metre", True), (None, True), ("km", False), ("s", False)])
-def test_units_must_be_the_same_quantity_at_the_same_scale(resolve, problems, two, unit, fits):
+@pytest.mark.parametrize(("unit", "fits"), [("m", True), ("metre", True), (None, True), ("km", True), ("s", False)])
+def test_units_must_be_of_the_same_quantity(resolve, problems, two, unit, fits):
     """Units of another name fit where both FMUs say that they are the same; without a unit anything fits."""
     table = two(a=[("y", "Real", "output", None, unit, "a number"), *PROBE_VARIABLES[2:]])
     if fits:
         resolve(table)
     else:
-        assert problems(table) == [('connections."b.u"', f"u is in 'm', y in '{unit}'")]
+        assert problems(table) == [
+            ('connections."b.u"', "u is in 'm', y in 's': one is s, the other m in SI base units; connect what fits, "
+             "or say unit_check = false for this connection")
+        ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("axes", "words"), [

@@ -25,7 +25,7 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
     with open_run(run, results) as record:
         plan = again.plan_of(record, tell)
         if not verify:
-            result = runner.execute(plan, results=results, force=force)
+            result = runner.execute(plan, results=results, force=force, context=again.replay_of(record, plan))
             click.echo(show.result(result, plan))
             return 0 if result.status == "completed" else 3
         difference = again.verify(record, plan)

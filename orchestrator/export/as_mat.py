@@ -15,7 +15,7 @@ from scipy.io import savemat
 from scipy.io.matlab import MatWriteError
 
 from ..errors import StoreError
-from ..fmu import split_axis
+from ..variables import split_axis
 from .content import Content, Signal, unique, vectors
 
 LONGEST = 63  # characters of a name in MATLAB

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from ..fmu import split_axis
 from ..store import Run
+from ..variables import split_axis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

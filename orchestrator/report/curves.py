@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import metrics
-from ..fmu import split_axis
+from ..variables import split_axis
 from ..vehicles import AXES, Vehicle
 from .arrays import packed, thin
 from .colours import colours

@@ -11,7 +11,7 @@ from html import escape
 from itertools import pairwise
 from typing import Any
 
-from ..fmu import split_axis
+from ..variables import split_axis
 
 WIDTH, HEIGHT = 148, 50  # px, of a component
 GUTTER, GAP = 112, 34  # px, between columns, between the components of one
