@@ -1,16 +1,26 @@
-"""What ties a run to the world outside: the clock on the wall, ground stations, a telemetry log of it."""
+"""What ties a run to the world outside: the clock on the wall, ground stations, what steers, a telemetry log of it."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from .master import Observer
 from .plan import Plan
 
 LATE = 0.1  # s; a run that was further behind says so
+
+
+@dataclass(frozen=True)
+class Ties:
+    """The plan as the observers need it, the observers, and {component: what a builtin needs}."""
+
+    plan: Plan
+    observers: Sequence[Observer]
+    context: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass
@@ -21,24 +31,33 @@ class Live:
     key: str | None = None
     realtime: float | None = None
     tlog: str | None = None
+    notes: list[str] = field(default_factory=list)  # what there is to say
 
     @contextlib.contextmanager
-    def observing(self, plan: Plan) -> Iterator[tuple[Plan, list[Observer]]]:
-        """The plan as the observers need it, and the observers.  Raises OrchError where one cannot begin."""
+    def tied(self, plan: Plan) -> Iterator[Ties]:
+        """Raises OrchError where something cannot begin."""
         observers: list[Observer] = []
-        self._notes: list[str] = []
+        context: dict[str, dict[str, Any]] = {}
         with contextlib.ExitStack() as opened:
             if self.tlog is not None:
                 from .mavlink.settings import settings_of
 
                 settings_of(plan)  # now rather than after the run
+            if plan.live:
+                from .mavlink import steered
+
+                context = steered.context_of(plan)
+                if not self.endpoints:
+                    self.notes += steered.unheard(plan)
             if self.endpoints:
+                from .mavlink import steered
                 from .mavlink.bridge import Bridge
                 from .mavlink.links import Endpoint
                 from .mavlink.wire import read_key
 
                 key = read_key(self.key) if self.key is not None else None
-                bridge = Bridge(plan, [Endpoint.parse(text) for text in self.endpoints], key)
+                endpoints = [Endpoint.parse(text) for text in self.endpoints]
+                bridge = Bridge(plan, endpoints, key, steered.controls_of(plan, context))
                 opened.callback(bridge.close)
                 plan = bridge.watched(plan)
                 observers.append(bridge)
@@ -47,17 +66,16 @@ class Live:
 
                 pacer = Pacer(plan, self.realtime)
                 observers.insert(0, pacer)  # the bridge shows what is so now, not what will be
-            yield plan, observers
+            yield Ties(plan, observers, context)
             if self.realtime is not None and pacer.latest > LATE:
-                words = f"the run was up to {pacer.latest:.3g} s behind its pace, {pacer.late:.3g} s at the end"
-                self._notes.append(f"note: {words}")
+                behind = f"{pacer.latest:.3g} s behind its pace, {pacer.late:.3g} s at the end"
+                self.notes.append(f"the run was up to {behind}")
 
-    def after(self, file: Path) -> list[str]:
-        """Write what is made of the record; returns what there is to say.  Raises OrchError."""
+    def finish(self, file: Path) -> None:
+        """Write what is made of the record.  Raises OrchError."""
         if self.tlog is not None:
             from .export import export
             from .store import Run
 
             with Run(file) as record:
                 export(record, "tlog", Path(self.tlog))
-        return self._notes

@@ -2,14 +2,17 @@
 
 import math
 import socket
+import subprocess
 import threading
 import time
 
+import h5py
 import numpy as np
 import pytest
+from conftest import ORCH, merged
 from fake_ardupilot import PACKET, FakeArdupilot, hover, parsed
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from station import free_port
+from station import Station, free_port
 
 from orchestrator.errors import OrchError
 from orchestrator.mavlink import steering
@@ -43,7 +46,7 @@ def tell(autopilot, text):
 
 def follow(component, eta, seconds):
     """Outputs (N, 24) of steps."""
-    return np.array([component.step(k * H, H, eta) for k in range(round(seconds / H))])
+    return np.array([component.step(k * H, H, eta, component.listen(k * H, eta)) for k in range(round(seconds / H))])
 
 
 def manual_control(x=0, y=0, z=500, r=0, buttons=0):
@@ -140,6 +143,105 @@ def test_a_set_point_is_reached_without_overshoot_within_the_limits(control):
     assert np.abs(path[:, 8]).max() <= 0.5 + 1e-6
 
 
+# --- Whole runs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def steered(spiral):
+    """The spiral's vehicle and controller, with a pilot in place of the reference."""
+    table = merged(spiral, {"components.reference": None, "metrics": {}, "master.stop_time": 4.0})
+    pilot = {"builtin": "mavlink_manual", "step": 0.02}
+    table["components"] = {"controller": table["components"].pop("controller"), **table["components"], "pilot": pilot}
+    table["connections"]["pilot.eta"] = "vehicle.eta"
+    for name in ("eta_d", "eta_d_dot", "eta_d_ddot"):
+        table["connections"][f"controller.{name}"] = f"pilot.{name}"
+    return table
+
+
+def datasets(path):
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
+def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(orch, steered, write, tmp_path):
+    port = free_port()
+    command = [ORCH, "run", str(write(steered)), "--realtime", "--quiet", "--output", "run.h5",
+               "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    station = Station.udpout(port)
+    while not station.receive(0.1) and process.poll() is None:
+        station.heartbeat()
+    stranger = Station.udpout(port, system=254)
+    while process.poll() is None:
+        station.send(manual_control(x=1000, r=-300))
+        stranger.send(manual_control(x=-1000, z=0))  # is not the configured ground station
+        station.listen(0.05)
+    assert process.wait() == 0, process.stderr.read()
+    run = datasets(tmp_path / "run.h5")
+    forward = np.hypot(run["vehicle/eta.x"] - 2.0, run["vehicle/eta.y"] + 1.0)
+    assert forward[-1] > 0.5
+    assert run["vehicle/eta.psi"][-1] < -0.1
+    assert run["pilot/nu_d.u"].max() == pytest.approx(0.5, abs=0.05)
+    assert run["pilot/nu_d.w"].max() == 0
+    channels = [m.chan5_raw for m in station.messages if m.get_type() == "RC_CHANNELS"]
+    assert max(channels) == 1700
+    assert orch("rerun", "run.h5", "--verify").code == 0
+    station.close()
+    stranger.close()
+
+
+def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_path):
+    port = free_port()
+    command = [ORCH, "run", str(write(merged(steered, {"master.stop_time": 9.0}))), "--realtime", "3", "--quiet",
+               "--output", "run.h5", "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path)
+    station = Station.udpout(port)
+    while not station.receive(0.1) and process.poll() is None:
+        station.heartbeat()
+    assert station.command(176, 1, MODES["GUIDED"]) == 0
+    still = [0] * 8
+    station.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, 2.5, -1.2, 1.3, *still))
+    station.listen(2.0)
+    assert station.command(400, 0) == 0
+    station.expect("HEARTBEAT", lambda m: not m.base_mode & 128, seconds=0.5)
+    assert process.wait(timeout=30) == 0
+    run = datasets(tmp_path / "run.h5")
+    assert [run[f"pilot/eta_d.{axis}"][-1] for axis in "xyz"] == pytest.approx([2.5, -1.2, 1.3], abs=0.05)
+    assert [run[f"vehicle/eta.{axis}"][-1] for axis in "xyz"] == pytest.approx([2.5, -1.2, 1.3], abs=0.3)
+    station.close()
+
+
+def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_path):
+    port, h = free_port(), 0.0025
+    ardusub = {"builtin": "ardupilot_json", "parameters": {"port": port}}
+    connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
+    table = {
+        "master": {"stop_time": 6.0, "step": h},
+        "components": {"ardusub": ardusub, "vehicle": spiral["components"]["vehicle"]},
+        "connections": {**connections, "vehicle.u": "ardusub.u"},
+    }
+    table["components"]["vehicle"]["start"] = "fmu"
+    pilot = FakeArdupilot(port, hover(1.4, 0.4))
+    thread = threading.Thread(target=pilot.fly, args=(3000,), daemon=True)
+    thread.start()
+    answer = orch("run", write(table), "--output", "run.h5")
+    assert answer.code == 0, answer.err
+    run = datasets(tmp_path / "run.h5")
+    assert run["vehicle/eta.z"][-1] == pytest.approx(1.4, abs=0.1)
+    assert run["vehicle/eta.psi"][-1] == pytest.approx(0.4, abs=0.1)
+    assert np.diff([state["timestamp"] for state in pilot.states]) == pytest.approx(h)
+    assert pilot.states[0]["imu"]["accel_body"][2] == pytest.approx(-9.81, abs=1.0)
+    assert orch("rerun", "run.h5", "--verify").code == 0  # without ArduPilot
+
+
+def test_a_pilot_without_a_bridge_is_told(orch, steered, write):
+    answer = orch("run", write(merged(steered, {"master.stop_time": 0.1})), "--output", "run.h5")
+    assert answer.code == 0
+    assert "nobody steers 'pilot'" in answer.err
+
+
 # --- ArduPilot ------------------------------------------------------------------------------------------------------
 
 
@@ -148,7 +250,8 @@ def fly(component, seconds, h=0.0025):
     eta, nu, path = np.array([0, 0, 1.0, 0, 0, 0.3]), np.zeros(6), []
     u = component.start(np.zeros(15))
     for k in range(round(seconds / h)):
-        u = component.step(k * h, h, np.array([*eta, *nu, 0, 0, -9.81]))
+        inputs = np.array([*eta, *nu, 0, 0, -9.81])
+        u = component.step(k * h, h, inputs, component.listen(k * h, inputs))
         heave, yaw = -40 * (u[4] + u[5]), 14 * (u[0] - u[1] - u[2] + u[3])
         nu = nu + h * np.array([0, 0, (heave - 20 * nu[2]) / 25, 0, 0, (yaw - nu[5]) / 0.3])
         eta = eta + h * nu
@@ -182,7 +285,9 @@ def test_junk_at_the_port_is_ignored_and_an_output_not_in_use_rests():
     for data in (b"", b"x", b"\x1a\x48", PACKET.pack(1, 400, 1, *[1900] * 16)):
         sender.sendto(data, ("127.0.0.1", port))
     sender.sendto(PACKET.pack(18458, 400, 1, 1900, 1100, *[0] * 14), ("127.0.0.1", port))
-    assert component.step(0.0, 0.0025, np.zeros(15)) == pytest.approx([1, -1, 0, 0, 0, 0])  # T1 = -M2, T2 = -M1
+    heard = component.listen(0.0, np.zeros(15))
+    u = component.step(0.0, 0.0025, np.zeros(15), heard)
+    assert u == pytest.approx([1, -1, 0, 0, 0, 0])  # T1 = -M2, T2 = -M1
     component.close()
     sender.close()
 
@@ -201,7 +306,7 @@ def test_a_port_that_is_taken_and_an_ardupilot_that_is_silent_are_said():
     with pytest.raises(OrchError, match=rf"components\.ardusub2\.parameters\.port: {port} cannot be had"):
         ArdupilotJson("ardusub2", {"port": port}, {})
     with pytest.raises(OrchError, match="no packet of ArduPilot"):
-        component.step(0.0, 0.0025, np.zeros(15))
+        component.listen(0.0, np.zeros(15))
     with pytest.raises(OrchError, match=r"components\.ardusub\.step"):
-        component.step(0.0, 0.1, np.zeros(15))
+        component.step(0.0, 0.1, np.zeros(15), np.zeros(6))
     component.close()

@@ -62,14 +62,16 @@ def run(
         for note in plan.notes:
             told(f"note: {note}")
         progress = Progress(plan)
-        with asked.observing(plan) as (plan, observers):
+        with asked.tied(plan) as ties:
             try:
-                shown = [] if quiet or as_json else [progress]
-                result = execute(plan, output, results, force or bool(observers), [*shown, *observers])
+                observers = [*([] if quiet or as_json else [progress]), *ties.observers]
+                again = force or bool(ties.observers)
+                result = execute(ties.plan, output, results, again, observers, ties.context)
             finally:
                 progress.done()
-        for note in asked.after(result.file):
-            told(note)
+        asked.finish(result.file)
+        for note in asked.notes:
+            told(f"note: {note}")
     except OrchError as error:
         if as_json:
             click.echo(json.dumps(show.not_started(error)))

@@ -88,9 +88,9 @@ def _parameter(run: Run, component: str, name: str, default: float) -> float:
     if name in given:
         return float(given[name])
     description = run.attributes["model_descriptions"].get(run.fact(component, "fmu_sha256"), "<empty/>")
-    for variable in ElementTree.fromstring(description).iter("ScalarVariable"):
-        if variable.get("name") == name and len(variable):
-            return float(variable[0].get("start", default))
+    for variable in ElementTree.fromstring(description).iter():
+        if variable.get("name") == name:  # FMI 3.0 has the value here, FMI 2.0 one below
+            return next((float(start) for element in variable.iter() if (start := element.get("start"))), default)
     return default
 
 

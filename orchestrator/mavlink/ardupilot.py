@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import OrchError
-from ..fmu import Variable
+from ..variables import Variable
 from .frame import FACTORS, Frame
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class ArdupilotJson:
         self._peer: Any = None
         self._count: int | None = None  # of the packet that is being answered
         self._reply = b""
-        self._u = np.zeros(6)
+        self._pwm = np.zeros(6)
 
     @classmethod
     def variables(cls) -> Sequence[Variable]:
@@ -81,26 +81,31 @@ class ArdupilotJson:
             *((name, "parameter", unit, start, meaning) for name, (start, unit, meaning) in PARAMETERS.items()),
         ]
         return tuple(
-            Variable(name, reference, "Real", causality, unit, start, meaning, causality == "output")
+            Variable(name, reference, "Real", "real", causality, unit, start, meaning, depends)
             for reference, (name, causality, unit, start, meaning) in enumerate(found)
+            for depends in [None if causality == "output" else ()]
         )
 
     def start(self, inputs: Array) -> Array:
         """At rest until ArduPilot speaks."""
         return np.zeros(6)
 
-    def step(self, t: float, h: float, inputs: NDArray[np.float64]) -> Array:
-        """Tell ArduPilot the state at t, wait for its outputs, and put them on the thrusters."""
-        if h >= LONGEST_STEP:
-            raise OrchError(f"components.{self._name}.step: {h} s; ArduPilot ignores steps of {LONGEST_STEP} s or "
-                            "more: give the component a step of 0.0025 s")  # fmt: skip
+    def listen(self, t: float, inputs: NDArray[np.float64]) -> Array:
+        """Tell ArduPilot the state at t and wait for the PWM of its motors 1 to 6 [us]."""
         if self._count is not None:
             self._reply = reply(t, inputs)
             self._send()
         pwm = self._receive()
         if pwm is not None:
-            self._u = self._frame.u(pwm)
-        return self._u
+            self._pwm = np.array(pwm[:6], dtype=np.float64)
+        return self._pwm
+
+    def step(self, t: float, h: float, inputs: NDArray[np.float64], heard: Array) -> Array:
+        """Put the outputs on the thrusters."""
+        if h >= LONGEST_STEP:
+            raise OrchError(f"components.{self._name}.step: {h} s; ArduPilot ignores steps of {LONGEST_STEP} s or "
+                            "more: give the component a step of 0.0025 s")  # fmt: skip
+        return self._frame.u(heard.tolist())
 
     def close(self) -> None:
         self._socket.close()

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import OrchError
-from ..fmu import Variable
-from .control import Control, SetPoint
+from ..variables import Variable
+from .control import Control
 from .sample import wrapped
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def _variables() -> tuple[Variable, ...]:
         (LAG[0], "parameter", *LAG[2:3], LAG[1], LAG[3]),
     ]  # fmt: skip
     return tuple(
-        Variable(name, reference, "Real", causality, unit, start, meaning, False)
+        Variable(name, reference, "Real", "real", causality, unit, start, meaning)
         for reference, (name, causality, unit, start, meaning) in enumerate(found)
     )
 
@@ -85,8 +85,17 @@ class MavlinkManual:
         self._place = np.array([*inputs[:3], inputs[5]])
         return self._outputs()
 
-    def step(self, t: float, h: float, inputs: Array) -> Array:
-        wanted = self._wanted()
+    def listen(self, t: float, inputs: Array) -> Array:
+        """What the pilot asks: four demands, whether set points count, and the set point (nan: not asked), (13,)."""
+        nothing = math.nan
+        target = self.control.target()
+        if target is None:
+            return np.array([*self.control.demands(), 0.0, *[nothing] * 8])
+        values = [*target.position, *(target.velocity or [None] * 3), target.yaw, target.yaw_rate]
+        return np.array([0.0] * 4 + [1.0] + [nothing if value is None else value for value in values])
+
+    def step(self, t: float, h: float, inputs: Array, heard: Array) -> Array:
+        wanted = self._towards(heard[5:]) if heard[4] else self._driven(heard[:4])
         share = -math.expm1(-h / self._lag)  # of the way to what is wanted, in a step
         rate = self._rate + share * (wanted - self._rate)
         self._change = (rate - self._rate) / h
@@ -97,30 +106,29 @@ class MavlinkManual:
     def close(self) -> None:
         """Nothing is open: the messages come through the bridge."""
 
-    def _wanted(self) -> Array:
-        """Velocity in NED and yaw rate that are asked for, (4,)."""
-        target = self.control.target()
-        if target is not None:
-            return self._towards(target)
-        surge, sway, heave, yaw = self.control.demands()
+    def _driven(self, demands: Array) -> Array:
+        """Velocity in NED and yaw rate that a joystick asks for, (4,)."""
+        surge, sway, heave, yaw = demands
         u, v, w = self._speed * (surge, sway, heave)
         c, s = math.cos(self._place[3]), math.sin(self._place[3])
         return np.array([c * u - s * v, s * u + c * v, w, self._turn * yaw])
 
-    def _towards(self, target: SetPoint) -> Array:
-        """To the set point without overshoot: with this gain the lag makes it critically damped."""
+    def _towards(self, target: Array) -> Array:
+        """To the set point without overshoot, (4,): with this gain the lag makes it critically damped.
+
+        target: (8,) position, velocity, yaw and yaw rate, nan where nothing is asked.
+        """
         gain = 1 / (4 * self._lag)
-        errors = [0.0 if p is None else p - float(here) for p, here in zip(target.position, self._place, strict=False)]
-        velocity = gain * np.array(errors)
+        velocity = gain * np.nan_to_num(target[:3] - self._place[:3])
         horizontal = float(np.hypot(*velocity[:2]))
         fastest = float(self._speed[0])
         if horizontal > fastest:
             velocity[:2] *= fastest / horizontal
-        if target.velocity is not None:
-            velocity += target.velocity
+        velocity += np.nan_to_num(target[3:6])
         limit = np.array([fastest, fastest, self._speed[2]])
-        turn = 0.0 if target.yaw is None else gain * wrapped(target.yaw - float(self._place[3]))
-        turn += target.yaw_rate or 0.0
+        yaw, yaw_rate = map(float, target[6:])
+        turn = 0.0 if math.isnan(yaw) else gain * wrapped(yaw - float(self._place[3]))
+        turn += 0.0 if math.isnan(yaw_rate) else yaw_rate
         return np.array([*np.clip(velocity, -limit, limit), min(self._turn, max(-self._turn, turn))])
 
     def _outputs(self) -> Array:

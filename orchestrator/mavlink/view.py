@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import OrchError, did_you_mean
-from ..fmu import Variable, split_axis
 from ..plan import Part, Plan
 from ..system import System
+from ..variables import Variable, split_axis
 from .autopilot import MODES, Autopilot
 from .control import Control
 from .frame import Frame
@@ -35,14 +35,22 @@ Signal = tuple[str, Variable]
 
 @dataclass
 class _Vector:
-    """Where a vector comes from: signals of components, or values that stand still."""
+    """Where a vector comes from: signals of components, each by its factor and offset, or values that stand still."""
 
     signals: list[Signal] = field(default_factory=list)
+    scaling: list[tuple[float, float]] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     places: Array | None = None
 
     def read(self, table: Array) -> Array:
-        return np.array(self.values) if self.places is None else table[self.places]
+        if self.places is None:
+            return np.array(self.values)
+        found: Array = table[self.places]
+        if not self.scaling:
+            return found
+        factors, offsets = np.array(self.scaling).T
+        scaled: Array = factors * found + offsets
+        return scaled
 
 
 class View:
@@ -105,7 +113,7 @@ def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpo
 
 
 def _autopilot(plan: Plan, part: Part, system: int, settings: Settings, control: Control | None) -> Autopilot:
-    frame, max_thrust = _frame(plan, part, settings.pwm_map)
+    frame, max_thrust = frame_of(plan, part, settings.pwm_map)
     own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
     guided = bool(_vectors(plan, part.name)["eta_d"].signals)
     autopilot = Autopilot(
@@ -117,7 +125,7 @@ def _autopilot(plan: Plan, part: Part, system: int, settings: Settings, control:
     return autopilot
 
 
-def _frame(plan: Plan, part: Part, pwm_map: str) -> tuple[Frame | None, float | None]:
+def frame_of(plan: Plan, part: Part, pwm_map: str) -> tuple[Frame | None, float | None]:
     """The vehicle's frame, None where it says nothing of its thrusters, and the thrust of one [N]."""
     matrix = {axis: v for axis, v in part.fmu.lookup("T").items() if v.kind == "real" and "," in axis}
     if not matrix:
@@ -163,9 +171,11 @@ def _outputs(part: Part, vector: str, axes: Sequence[str]) -> _Vector:
 
 def _arriving(plan: Plan, part: Part, inputs: Sequence[Variable]) -> _Vector:
     """What drives some inputs of a component: outputs of others, or its start values."""
-    sources = {link.input.name: (link.source, link.output) for link in plan.links if link.sink == part.name}
-    if inputs and all(v.name in sources and sources[v.name][1].kind == "real" for v in inputs):
-        return _Vector([sources[v.name] for v in inputs])
+    links = {link.input.name: link for link in plan.links if link.sink == part.name}
+    if inputs and all(v.name in links and links[v.name].output.kind == "real" for v in inputs):
+        found = [links[v.name] for v in inputs]
+        scaling = [] if all(link.direct for link in found) else [(link.factor, link.offset) for link in found]
+        return _Vector([(link.source, link.output) for link in found], scaling)
     return _Vector(values=[float(part.start.get(v.name, v.initial)) for v in inputs])
 
 
