@@ -71,6 +71,8 @@ def live_of(
             raise click.UsageError(f"--realtime {realtime}: give a factor from 0.001 to 1000")
     if experiment is None:
         raise click.UsageError("Missing argument 'EXPERIMENT.toml'.")
+    if key is not None and not endpoints:
+        raise click.UsageError("--mavlink-key is for --mavlink; there is none")
     return experiment, Live(endpoints, key, factor, tlog)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import select
+import struct
 import sys
 import threading
 import time
@@ -28,6 +29,8 @@ from .station import Station
 from .view import View, fleet
 
 HEARTBEAT = 1.0  # s
+# What a message with absurd contents may raise on its way.
+NONSENSE = (ValueError, TypeError, ArithmeticError, LookupError, AttributeError, struct.error)
 NAP = 0.05  # s, at most
 SHORTEST_NAP = 1e-3  # s
 SWITCH = 1e-3  # s that one thread may keep the other from Python: the run's pace suffers from more
@@ -122,7 +125,7 @@ class Bridge(Watcher):
         for channel in station.channels.values():
             try:
                 self._conversation.handle(channel, message, now)
-            except (ValueError, TypeError, OverflowError, ArithmeticError, LookupError, AttributeError) as error:
+            except NONSENSE as error:
                 # What a station sends must not end the conversation with the others.
                 self.counts[f"not understood: {message.get_type()} ({type(error).__name__})"] += 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -19,13 +20,14 @@ FASTEST, SLOWEST = 1e-3, 60.0  # s, of an interval that is asked for
 RATES = 1, 50  # Hz, of a stream that is asked for
 PACE = 5e-3  # s, between two handfuls of a long answer
 HANDFUL = 5  # messages
+UNSENDABLE = (ValueError, OverflowError, struct.error)
 
 
 class Channel:
     """One vehicle, for one station: frames in sequence, intervals of messages, answers under way."""
 
-    def __init__(self, autopilot: Autopilot, peer: Peer, encoder: Encoder, now: float):
-        self.autopilot, self.peer, self._encoder = autopilot, peer, encoder
+    def __init__(self, autopilot: Autopilot, peer: Peer, encoder: Encoder, now: float, counts: Counter[str]):
+        self.autopilot, self.peer, self._encoder, self._counts = autopilot, peer, encoder, counts
         self.files = Files(autopilot.parameters)
         self.heartbeat_due = now
         self._due: dict[str, list[float]] = {}  # {message: [interval, when next]} [s]
@@ -86,7 +88,10 @@ class Channel:
         if at is not None:
             for name, entry in self._due.items():
                 if entry[1] <= now:
-                    self.send(*STREAMED[name][1](self.autopilot, at, wall))
+                    try:
+                        self.send(*STREAMED[name][1](self.autopilot, at, wall))
+                    except UNSENDABLE:  # a vehicle that is off to infinity
+                        self._counts[f"not sent: {name}"] += 1
                     # What is late is not made up for.
                     entry[1] = entry[1] + entry[0] if now - entry[1] < entry[0] else now + entry[0]
         if self._jobs and now >= self._pace_due:
@@ -112,7 +117,9 @@ class Station:
                  counts: Counter[str]):  # fmt: skip
         self.peer = peer
         self.decoder = Decoder(counts, key)
-        self.channels = {a.system: Channel(a, peer, Encoder(a.system, key, number), now) for a in autopilots}
+        self.channels = {
+            a.system: Channel(a, peer, Encoder(a.system, key, number), now, counts) for a in autopilots
+        }
 
     def messages(self, data: bytes) -> Iterator[Any]:
         for message in self.decoder.messages(data, self.peer.link.whole):
