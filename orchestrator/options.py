@@ -47,7 +47,7 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--realtime", metavar="[FACTOR]", is_flag=False, flag_value="1",
                      help="Keep the pace of the clock, or FACTOR times that."),
     ]  # fmt: skip
-    for option in options:
+    for option in reversed(options):
         command = option(command)
     return command
 
