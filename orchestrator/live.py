@@ -39,6 +39,12 @@ class Live:
         observers: list[Observer] = []
         context: dict[str, dict[str, Any]] = {}
         with contextlib.ExitStack() as opened:
+            pacer = None
+            if self.realtime is not None:
+                from .pacer import Pacer
+
+                pacer = Pacer(plan, self.realtime)
+                observers.append(pacer)  # first: the bridge shows what is so now, not what will be
             if self.tlog is not None:
                 from .mavlink.settings import settings_of
 
@@ -51,23 +57,19 @@ class Live:
                     self.notes += steered.unheard(plan)
             if self.endpoints:
                 from .mavlink import steered
-                from .mavlink.bridge import Bridge
+                from .mavlink.bridge import Bridge, at_once
                 from .mavlink.links import Endpoint
                 from .mavlink.wire import read_key
 
                 key = read_key(self.key) if self.key is not None else None
                 endpoints = [Endpoint.parse(text) for text in self.endpoints]
-                bridge = Bridge(plan, endpoints, key, steered.controls_of(plan, context))
+                due = pacer.due if pacer else at_once
+                bridge = Bridge(plan, endpoints, key, steered.controls_of(plan, context), due)
                 opened.callback(bridge.close)
                 plan = bridge.watched(plan)
                 observers.append(bridge)
-            if self.realtime is not None:
-                from .pacer import Pacer
-
-                pacer = Pacer(plan, self.realtime)
-                observers.insert(0, pacer)  # the bridge shows what is so now, not what will be
             yield Ties(plan, observers, context)
-            if self.realtime is not None and pacer.latest > LATE:
+            if pacer and pacer.latest > LATE:
                 behind = f"{pacer.latest:.3g} s behind its pace, {pacer.late:.3g} s at the end"
                 self.notes.append(f"the run was up to {behind}")
 

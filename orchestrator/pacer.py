@@ -10,7 +10,7 @@ from .master import Watcher
 from .plan import Plan
 
 SLICE = 0.002  # s of wall time between two looks at the clock
-TAIL = 0.05  # s of wall time before the end that are one slice: the last rows are written while it waits
+TAIL = 0.05  # s of wall time before the end that the run goes ahead: its last rows are written before it is over
 
 
 class Pacer(Watcher):
@@ -24,7 +24,7 @@ class Pacer(Watcher):
         self._grid, self._factor = plan.experiment.grid, factor
         ticks_per_second = factor / plan.experiment.master.step
         self._slice = max(1, round(SLICE * ticks_per_second))
-        self._tail = max(0, plan.steps - round(TAIL * ticks_per_second))  # where the last slice begins
+        self._tail, self._steps = plan.steps - round(TAIL * ticks_per_second), plan.steps
         self._began: float | None = None
         self._looks, self._sum = 0, 0.0
         self.late = self.latest = 0.0  # s; now, and at worst
@@ -34,13 +34,16 @@ class Pacer(Watcher):
             self._began = time.monotonic()
 
     def limit(self, tick: int, last: int) -> int:
-        if tick >= self._tail:
-            return last
-        return min(last, tick - tick % self._slice + self._slice, self._tail)
+        return min(last, tick - tick % self._slice + self._slice)
+
+    def due(self, tick: int) -> float:
+        """When it is time for a tick (monotonic) [s]."""
+        return (self._began or 0.0) + self._grid.time(tick) / self._factor
 
     def progress(self, tick: int) -> None:
-        assert self._began is not None  # the first row comes before the first step
-        due = self._began + self._grid.time(tick) / self._factor
+        if self._tail < tick < self._steps:
+            return
+        due = self.due(tick)
         if (wait := due - time.monotonic()) > 0:
             time.sleep(wait)
         self.late = time.monotonic() - due

@@ -108,6 +108,6 @@ class Plan:
         """The SHA-256 of what decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
         components = [{k: v for k, v in c.items() if k != "fmu"} for c in self.resolved["components"]]
         keys = [key for key in ("master", "connections", "record", "created") if key in self.resolved]
-        deciding = {**{key: self.resolved[key] for key in keys}, "components": components}
+        deciding: dict[str, Any] = {**{key: self.resolved[key] for key in keys}, "components": components}
         text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -36,7 +36,7 @@ def autopilot(control):
     """A vehicle at (1, 2, 3), heading east."""
     found = Autopilot(1, "vehicle", Parameters(1, {}, {}), (44.65, -124.05), control=control, mode=MODES["POSHOLD"])
     eta = np.array([1.0, 2.0, 3.0, 0.0, 0.0, math.pi / 2])
-    found.latest = Sample(0.0, eta, np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(6), found.origin)
+    found.show(Sample(0.0, eta, np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(6), found.origin))
     return found
 
 
@@ -149,7 +149,7 @@ def test_a_set_point_is_reached_without_overshoot_within_the_limits(control):
 @pytest.fixture
 def steered(spiral):
     """The spiral's vehicle and controller, with a pilot in place of the reference."""
-    table = merged(spiral, {"components.reference": None, "metrics": {}, "master.stop_time": 4.0})
+    table = merged(spiral, {"components.reference": None, "metrics": {}, "master.stop_time": 3.0})
     pilot = {"builtin": "mavlink_manual", "step": 0.02}
     table["components"] = {"controller": table["components"].pop("controller"), **table["components"], "pilot": pilot}
     table["connections"]["pilot.eta"] = "vehicle.eta"
@@ -181,7 +181,7 @@ def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(
     assert process.wait() == 0, process.stderr.read()
     run = datasets(tmp_path / "run.h5")
     forward = np.hypot(run["vehicle/eta.x"] - 2.0, run["vehicle/eta.y"] + 1.0)
-    assert forward[-1] > 0.5
+    assert forward[-1] > 0.3
     assert run["vehicle/eta.psi"][-1] < -0.1
     assert run["pilot/nu_d.u"].max() == pytest.approx(0.5, abs=0.05)
     assert run["pilot/nu_d.w"].max() == 0
@@ -192,6 +192,7 @@ def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(
     stranger.close()
 
 
+@pytest.mark.slow
 def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_path):
     port = free_port()
     command = [ORCH, "run", str(write(merged(steered, {"master.stop_time": 9.0}))), "--realtime", "3", "--quiet",
@@ -218,7 +219,7 @@ def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_p
     ardusub = {"builtin": "ardupilot_json", "parameters": {"port": port}}
     connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
     table = {
-        "master": {"stop_time": 6.0, "step": h},
+        "master": {"stop_time": 4.0, "step": h},
         "components": {"ardusub": ardusub, "vehicle": spiral["components"]["vehicle"]},
         "connections": {**connections, "vehicle.u": "ardusub.u"},
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ MODES = {
 MODE_NAMES = {number: name for name, number in MODES.items()}
 GUIDING = (MODES["AUTO"], MODES["GUIDED"], MODES["CIRCLE"], MODES["POSHOLD"])  # ArduSub's base_mode()
 
+MOST_SAMPLES = 256  # that the bridge's thread may leave unseen
+
 CUSTOM, STABILIZE, MANUAL_INPUT, GUIDED, ARMED = 1, 16, 64, 8, 128  # MAV_MODE_FLAG
 STANDBY, ACTIVE = 3, 4  # MAV_STATE
 
@@ -32,7 +35,7 @@ STANDBY, ACTIVE = 3, 4  # MAV_STATE
 @dataclass
 class Autopilot:
     """component: the vehicle's name in the experiment; frame: None where it has no thruster matrix; control: where
-    steering goes, None where nobody listens; latest: None before the first sample."""
+    steering goes, None where nobody listens; samples: each with the time (monotonic) [s] from which it holds."""
 
     system: int
     component: str
@@ -42,8 +45,19 @@ class Autopilot:
     control: Control | None = None
     mode: int = MODES["GUIDED"]
     armed: bool = True
-    latest: Sample | None = None
-    started: float = field(default_factory=time.monotonic)
+    samples: deque[tuple[float, Sample]] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
+
+    def show(self, sample: Sample, due: float = 0.0) -> None:
+        """The run calls this, and the bridge's thread `latest`: neither waits for the other."""
+        self.samples.append((due, sample))
+
+    @property
+    def latest(self) -> Sample | None:
+        """What holds now; None before the first sample."""
+        now = time.monotonic()
+        while len(self.samples) > 1 and self.samples[1][0] <= now:
+            self.samples.popleft()
+        return self.samples[0][1] if self.samples else None
 
     @property
     def base_mode(self) -> int:

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ..loop import Block
@@ -37,19 +37,24 @@ SWITCH = 1e-3  # s that one thread may keep the other from Python: the run's pac
 TURN = 0.02  # s, at most, of one link's messages in a turn: the others and the heartbeat have theirs, too
 
 
+def at_once(tick: int) -> float:
+    """Of a run that keeps no pace."""
+    return 0.0
+
+
 class Bridge(Watcher):
     """Shows the vehicles of a plan at endpoints.
 
-    controls: {component of a vehicle: where its steering goes}.  Raises OrchError where an endpoint cannot be opened or
-    a vehicle cannot be shown.
+    controls: {component of a vehicle: where its steering goes}; due: when it is time for a tick (monotonic) [s].
+    Raises OrchError where an endpoint cannot be opened or a vehicle cannot be shown.
     """
 
     def __init__(self, plan: Plan, endpoints: Sequence[Endpoint], key: bytes | None = None,
-                 controls: Mapping[str, Control] | None = None):  # fmt: skip
+                 controls: Mapping[str, Control] | None = None, due: Callable[[int], float] = at_once):  # fmt: skip
         self.counts: Counter[str] = Counter()
         self._key = key
         self.autopilots: list[Autopilot] = fleet(plan, controls or {}, [e for e in endpoints if e.system is not None])
-        self._view = View(plan, self.autopilots)
+        self._view = View(plan, self.autopilots, due)
         self._stations: dict[Peer, Station] = {}
         self._conversation = Conversation(self.tell, self._echo)
         self._numbers = 0

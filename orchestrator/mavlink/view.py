@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -57,7 +57,9 @@ class View:
     """Samples of the vehicles, at whole milliseconds where the communication step allows it, for that is how MAVLink
     counts."""
 
-    def __init__(self, plan: Plan, autopilots: Sequence[Autopilot]):
+    def __init__(self, plan: Plan, autopilots: Sequence[Autopilot], due: Callable[[int], float]):
+        """due: when it is time for a tick (monotonic) [s]: a paced run may be ahead."""
+        self._due = due
         self._autopilots, self._grid, self._steps = autopilots, plan.experiment.grid, plan.steps
         self._beat = (Fraction(repr(plan.experiment.master.step)) * 1000).denominator  # ticks
         self._looked = 0
@@ -90,7 +92,7 @@ class View:
             values = {name: vector.read(self._table) for name, vector in self._vectors[autopilot.system].items()}
             if not len(values["specific_force"]):
                 values["specific_force"] = gravity_alone(values["eta"])
-            autopilot.latest = Sample(t, origin=autopilot.origin, **values)
+            autopilot.show(Sample(t, origin=autopilot.origin, **values), self._due(tick))
 
 
 def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpoint] = ()) -> list[Autopilot]:
