@@ -15,7 +15,7 @@ test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto
 
 fuzz: $(VENV)/.installed-dev
-	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py
+	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py tests/test_fuzz.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -24,6 +24,7 @@ lint: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/large.py
+	$(BIN)/python benchmarks/store.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .store import Run
@@ -27,9 +27,16 @@ def changes(a: Run, b: Run) -> list[Change]:
     """All that differs but clocks: what decides the numbers first, then what may, then results."""
     before, after = a.attributes, b.attributes
     deciding = _differing(_experiment(before, after), _experiment(after, before), True)
+    deciding = [replace(c, decides=False) if _renames(c, deciding) else c for c in deciding]
     made = _differing({name: before[name] for name in MADE}, {name: after[name] for name in MADE}, False)
     ended = _differing(_ended(before), _ended(after), False)
     return [*deciding, *made, *ended]
+
+
+def _renames(change: Change, others: Iterable[Change]) -> bool:
+    """Whether it is but another name of the same FMU."""
+    _, _, key = change.name.partition("components.")
+    return key.count(".") == 1 and key.endswith(".fmu") and f"{change.name}_sha256" not in {c.name for c in others}
 
 
 def _ended(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,24 +51,45 @@ def _experiment(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str,
         c["name"]: {k: v for k, v in c.items() if k != "name"} if c["name"] in common else c["fmu"]
         for c in resolved["components"]
     }
-    connections = {
-        sink: source for sink, source in _vectors(resolved["connections"]).items() if sink.partition(".")[0] in common
-    }
+    connections = _connections(resolved["connections"], other["experiment_resolved"]["connections"])
     order = " ".join(name for name in components if name in common)
-    return {"master": resolved["master"], "order": order, "components": components, "connections": connections,
+    return {"master": resolved["master"], "order": order, "components": components,
+            "connections": {sink: v for sink, v in connections.items() if sink.partition(".")[0] in common},
             "record": resolved["record"]}  # fmt: skip
 
 
-def _vectors(connections: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Connections of vectors: {"controller.eta": "vehicle.eta"}; axis by axis where they come from several."""
-    sources: dict[str, dict[str, str]] = {}
-    for sink, source in connections:
-        sources.setdefault(split_axis(sink)[0], {})[sink] = source
+def _connections(pairs: Iterable[tuple[str, str]], others: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """{input: output} of the vectors that are connected otherwise in the other record.
+
+    One entry a vector, "controller.eta": "vehicle.eta", where that tells all and the difference; else one a scalar.
+    """
+    mine, theirs = _by_vector(pairs), _by_vector(others)
     found: dict[str, str] = {}
-    for vector, axes in sources.items():
-        origins = {split_axis(source)[0] for source in axes.values()}
-        found |= {vector: origins.pop()} if len(origins) == 1 and len(axes) > 1 else axes
+    for vector, axes in mine.items():
+        if axes == theirs.get(vector):
+            continue
+        whole, other = _whole(axes), _whole(theirs.get(vector, {}))
+        same_axes = vector not in theirs or _axes(axes) == _axes(theirs[vector])
+        found |= {vector: whole} if whole and same_axes and (other or vector not in theirs) else axes
     return found
+
+
+def _by_vector(pairs: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = {}
+    for sink, source in pairs:
+        found.setdefault(split_axis(sink)[0], {})[sink] = source
+    return found
+
+
+def _axes(sinks: Iterable[str]) -> set[str]:
+    return {split_axis(sink)[1] for sink in sinks}
+
+
+def _whole(axes: Mapping[str, str]) -> str:
+    """The vector that several axes come from, each from the one of its own name; "" where it is not so simple."""
+    origins = {split_axis(source)[0] for source in axes.values()}
+    straight = all(split_axis(sink)[1] == split_axis(source)[1] for sink, source in axes.items())
+    return origins.pop() if len(origins) == 1 and len(axes) > 1 and straight else ""
 
 
 def _differing(before: Mapping[str, Any], after: Mapping[str, Any], decides: bool) -> list[Change]:

@@ -6,6 +6,7 @@ import io
 import os
 import sys
 import traceback
+from collections.abc import Sequence
 
 import click
 
@@ -16,12 +17,22 @@ from .options import INTERRUPTED
 
 
 def main() -> None:
-    """Entry point: exit codes 0 done, 2 not started, 3 failed, 130 interrupted."""
+    """Entry point; ends the process."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal may lack the letters of a model's own words
+    code = execute()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    # An FMU that has failed can neither be freed nor be left to the destructors at exit: both may crash.
+    os._exit(code)
+
+
+def execute(arguments: Sequence[str] | None = None) -> int:
+    """One command; those of the process by default.  Returns 0 done, 2 not started, 3 failed, 130 interrupted."""
     try:
-        code = orch.main(standalone_mode=False)
+        code = orch.main(None if arguments is None else list(arguments), prog_name="orch", standalone_mode=False)
     except click.exceptions.Abort:  # what click makes of Ctrl-C
         click.echo("interrupted", err=True)
         code = INTERRUPTED
@@ -41,11 +52,7 @@ def main() -> None:
         traceback.print_exc()
         click.echo("\nThis is a bug of orch; please report it with the text above.", err=True)
         code = 1
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    # An FMU that has failed can neither be freed nor be left to the destructors at exit: both may crash.
-    os._exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
 class _Group(click.Group):

@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from . import bounds
 from .errors import ExperimentError, Problem, did_you_mean
-from .grid import Grid
+from .grid import EXACT, Grid
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
 ISOLATION = ("auto", "process", "none")
@@ -103,8 +104,10 @@ def parse(
     """`load` for the text of a file that lies, or lay, at `path`."""
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # what is no TOML, thousands of digits, thousands of brackets
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
+    if out_of_bounds := [*bounds.problems(table), *bounds.problems(set or {})]:
+        raise ExperimentError(path, out_of_bounds)
     reader = _Reader()
     changes = {"set": {key: _plain(value) for key, value in (set or {}).items()}, "swap": dict(swap or {})}
     # The swap first: it drops parameters of the FMU that leaves, not those that are set for the one that comes.
@@ -118,14 +121,16 @@ def parse_value(text: str) -> Any:
     """The value of KEY=VALUE on the command line: TOML where it is, else the text itself."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 
 def split_key(key: str) -> list[str]:
-    """Parts of a dotted TOML key: connections."a.b" has two."""
-    parts = re.findall(r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)', key)
-    return [double or single or bare for double, single, bare in parts]
+    """Parts of a dotted TOML key: connections."a.b" has two; none of what is no key."""
+    part = r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)'
+    if not re.fullmatch(rf"\s*(?:{part})\s*(?:\.\s*(?:{part})\s*)*", key):
+        return []
+    return [double or single or bare for double, single, bare in re.findall(part, key)]
 
 
 class _Reader:
@@ -165,7 +170,8 @@ class _Reader:
         dropped = component.pop("parameters", None)
         was, component["fmu"] = component.get("fmu"), fmu
         note = f"{name}: {fmu} in place of {was}"
-        return note + (f"; dropped its parameters {', '.join(dropped)}" if dropped else "")
+        names = ", ".join(dropped) if isinstance(dropped, dict) else ""
+        return note + (f"; dropped its parameters {names}" if names else "")
 
     def experiment(
         self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...],
@@ -298,7 +304,10 @@ class _Reader:
 
     def multiple(self, value: float, step: float, key: str) -> None:
         grid = Grid(step)
-        if not grid.ticks(value):
+        ticks = grid.ticks(value)
+        if ticks and ticks > EXACT:
+            self.problem(key, f"{value} s is over {EXACT:.0e} times master.step = {step} s")
+        elif not ticks:
             near = " or ".join(f"{v:.12g}" for v in grid.nearest(value))
             self.problem(key, f"{value} s is not a multiple of master.step = {step} s; try {near}")
 

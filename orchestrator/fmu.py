@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import platform
-import stat
+import re
 import sys
 import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from . import archive as archives
+from . import description as descriptions
 from . import units, variables
 from .errors import FmuError
 from .units import Unit
 from .variables import Variable, split_axis
 
 DESCRIPTION = "modelDescription.xml"
-MAX_SIZE = 4 << 30  # bytes of all files of an archive together
-MAX_RATIO = 200  # unpacked to packed
-# What zipfile raises at damaged, encrypted and oddly compressed members.
-DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError)
 CAPABILITIES = ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative", "needsExecutionTool",
                 "hasEventMode")  # fmt: skip
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
@@ -57,13 +55,14 @@ class Fmu:
 
     @cached_property
     def vectors(self) -> dict[str, dict[str, Variable]]:
-        """{name: {axis: variable}}: variables `name.axis` or `name[i]` that share causality, in the FMU's order."""
+        """{name: {axis: variable}}: variables `name.axis`, in the FMU's order, or `name[i]`, by number, that share
+        causality."""
         found: dict[str, dict[str, Variable]] = {}
         for variable in self.variables.values():
             name, axis = split_axis(variable.name)
             if axis and name not in self.variables:
                 found.setdefault(name, {})[axis] = variable
-        return {n: axes for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
+        return {n: _in_order(axes) for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
 
     def lookup(self, name: str) -> dict[str, Variable]:
         """{axis: variable} of a vector, {"": variable} of a scalar, {} of neither."""
@@ -95,27 +94,26 @@ class Fmu:
         return list(found)
 
 
+def _in_order(axes: dict[str, Variable]) -> dict[str, Variable]:
+    """Numbered axes by their numbers, whatever the order of their declarations."""
+    numbered = [axis for axis in axes if re.fullmatch(r"[0-9]{1,9}(,[0-9]{1,9})*", axis)]
+    numbers = {axis: [int(n) for n in axis.split(",")] for axis in numbered}
+    return {axis: axes[axis] for axis in sorted(axes, key=numbers.__getitem__)} if len(numbers) == len(axes) else axes
+
+
 def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
     """Read and check an FMU.  structure: {structural parameter: value}, for the shapes of its arrays.
 
     Raises FmuError, with a sentence, for anything that cannot run here.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = _checked_names(path, archive)
-            modules = dict(_python_modules(archive, names))
-            text = archive.read(DESCRIPTION).decode(errors="replace") if DESCRIPTION in names else ""
-    except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: not a zip file") from None
-    except DAMAGED as error:
-        raise FmuError(f"{path} is damaged: {error}") from None
-    if DESCRIPTION not in names:
-        raise FmuError(f"{path} is no FMU: it has no {DESCRIPTION}")
-    description = _description(path)
+    with archives.opened(path) as archive:
+        if DESCRIPTION not in archive.names:
+            raise FmuError(f"{path} is no FMU: it has no {DESCRIPTION}")
+        text = archive.xml(DESCRIPTION)
+        modules = dict(_python_modules(archive))
+        names, sha256 = archive.names, archive.sha256
+    descriptions.check(path, text)
+    description = _description(path, text)
     version = str(description.fmiVersion)
     if version[:2] not in ("2.", "3."):
         raise FmuError(f"{path} is FMI {version}; orch runs FMI 2.0 and 3.0")
@@ -129,7 +127,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
     except ValueError as error:
         raise FmuError(f"{path}: {error}") from None
     return Fmu(
-        path, hashlib.sha256(content).hexdigest(), version, description.modelName, description.description or "",
+        path, sha256, version, description.modelName, description.description or "",
         description.guid or description.instantiationToken, slave.modelIdentifier, description.generationTool or "",
         "python" if "resources/slavemodule.txt" in names else "native",
         bool(slave.canBeInstantiatedOnlyOncePerProcess),
@@ -139,14 +137,11 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
 
 
 def unpack(fmu: Fmu, folder: Path) -> None:
-    """Unpack the archive, checked by `read`.  Raises FmuError where it is damaged or the disk is full."""
-    try:
-        with zipfile.ZipFile(fmu.path) as archive:
-            archive.extractall(folder)
-    except OSError as error:
-        raise FmuError(f"{fmu.path} cannot be unpacked into {folder}: {error.strerror}") from None
-    except DAMAGED as error:
-        raise FmuError(f"{fmu.path} is damaged: {error}") from None
+    """Unpack what was read.  Raises FmuError where the file is another by now, is damaged, or the disk is full."""
+    with archives.opened(fmu.path) as archive:
+        if archive.sha256 != fmu.sha256:
+            raise FmuError(f"{fmu.path} has changed since it was checked; start again")
+        archive.extract(folder)
 
 
 def platform_folder(version: int = 2) -> tuple[str, str]:
@@ -160,28 +155,18 @@ def platform_folder(version: int = 2) -> tuple[str, str]:
     return f"{MACHINES.get(machine, machine)}-{system}", suffix
 
 
-def _checked_names(path: Path, archive: zipfile.ZipFile) -> set[str]:
-    total = 0
-    for entry in archive.infolist():
-        parts = PurePosixPath(entry.filename.replace("\\", "/"))
-        if parts.is_absolute() or ".." in parts.parts or ":" in entry.filename or "\\" in entry.filename:
-            raise FmuError(f"{path} would write outside its folder: {entry.filename!r}; not opened")
-        if stat.S_ISLNK(entry.external_attr >> 16):
-            raise FmuError(f"{path} contains the link {entry.filename!r}; not opened")
-        total += entry.file_size
-        if total > MAX_SIZE or entry.file_size > max(entry.compress_size, 1 << 20) * MAX_RATIO:
-            raise FmuError(f"{path} unpacks to an absurd size at {entry.filename!r}; not opened")
-    return set(archive.namelist())
-
-
-def _description(path: Path) -> Any:
+def _description(path: Path, text: str) -> Any:
+    """What FMPy makes of the text that has been checked; it never sees the archive."""
     from fmpy import read_model_description
 
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr(DESCRIPTION, text)
     try:
-        return read_model_description(path, validate=False)
+        return read_model_description(file, validate=False)
     except Exception as error:  # FMPy raises whatever its XML reader meets
         text = " ".join(str(error).split())
-        raise FmuError(f"{path}: modelDescription.xml cannot be read: {text or type(error).__name__}") from None
+        raise FmuError(f"{path}: {DESCRIPTION} cannot be read: {text or type(error).__name__}") from None
 
 
 def _interfaces(description: Any) -> str:
@@ -200,7 +185,7 @@ def _initial_dependencies(description: Any) -> dict[str, tuple[str, ...] | None]
     return found
 
 
-def _check_binary(path: Path, names: set[str], identifier: str, version: int) -> None:
+def _check_binary(path: Path, names: Collection[str], identifier: str, version: int) -> None:
     folder, suffix = platform_folder(version)
     if f"binaries/{folder}/{identifier}{suffix}" in names:
         return
@@ -208,12 +193,12 @@ def _check_binary(path: Path, names: set[str], identifier: str, version: int) ->
     raise FmuError(f"{path} has no binary for this platform ({folder}); it has {', '.join(has) or 'none'}")
 
 
-def _python_modules(archive: zipfile.ZipFile, names: set[str]) -> Iterator[tuple[str, str]]:
+def _python_modules(archive: archives.Archive) -> Iterator[tuple[str, str]]:
     """Top-level modules that a Python FMU puts on the path of the process, with a digest of their source."""
-    if "resources/slavemodule.txt" not in names:
+    if "resources/slavemodule.txt" not in archive.names:
         return
     digests: dict[str, Any] = {}
-    for name in sorted(names):
+    for name in sorted(archive.names):
         parts = PurePosixPath(name).parts
         if len(parts) > 1 and parts[0] == "resources" and name.endswith(".py"):
             module = parts[1].removesuffix(".py")

@@ -7,7 +7,7 @@ import datetime
 import fnmatch
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,19 +38,36 @@ class Filters:
 
 def choose(folder: Path, filters: Filters) -> list[Facts]:
     """The runs of a store that pass all filters, oldest first.  Raises OrchError for a filter that means nothing."""
-    expression = where.parse(filters.where) if filters.where else None
+    expression, passes = _expression(filters), _simply(filters)
+    found: list[Facts] = [run for run in index.runs(folder) if passes(run)]
+    return expression.choose(found) if expression else found
+
+
+def passing(filters: Filters) -> Callable[[Facts], bool]:
+    """Whether one run passes all filters.  Raises OrchError for a filter that means nothing."""
+    expression, passes = _expression(filters), _simply(filters)
+    return lambda run: passes(run) and (expression is None or expression.holds(run))
+
+
+def _expression(filters: Filters) -> where.Where | None:
+    return where.parse(filters.where) if filters.where else None
+
+
+def _simply(filters: Filters) -> Callable[[Facts], bool]:
+    """All filters but the expression."""
     since, before = _moment(filters.since), _moment(filters.before)
     if filters.status and not any(fnmatch.fnmatchcase(status, filters.status) for status in STATUSES):
         raise OrchError(f"--status {filters.status}: no such status{did_you_mean(filters.status, STATUSES)}")
-    found: list[Facts] = [
-        run
-        for run in index.runs(folder)
-        if fnmatch.fnmatchcase(run["experiment"], filters.experiment or "*")
-        and fnmatch.fnmatchcase(run["status"], filters.status or "*")
-        and (since is None or (run["created"] and _parsed(run["created"]) >= since))
-        and (before is None or (run["created"] and _parsed(run["created"]) < before))
-    ]
-    return expression.choose(found) if expression else found
+
+    def passes(run: Facts) -> bool:
+        return (
+            fnmatch.fnmatchcase(run["experiment"], filters.experiment or "*")
+            and fnmatch.fnmatchcase(run["status"], filters.status or "*")
+            and (since is None or bool(run["created"] and _parsed(run["created"]) >= since))
+            and (before is None or bool(run["created"] and _parsed(run["created"]) < before))
+        )
+
+    return passes
 
 
 def ordered(runs: Sequence[Facts], key: str, reverse: bool) -> list[Facts]:

@@ -96,7 +96,9 @@ class Plan:
             "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
         }  # fmt: skip
-        return found | ({"created": self.created} if self.created else {})
+        if self.created:
+            found["created"] = self.created
+        return found
 
     @property
     def live(self) -> bool:

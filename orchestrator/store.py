@@ -5,6 +5,7 @@ The format is described in docs/record.md; `recorder` writes it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -177,8 +178,12 @@ class Store:
 
     def records(self) -> list[Path]:
         """All records, oldest first; folders that begin with _ are ignored."""
-        found = [p for p in self.folder.glob("*/*.h5") if not p.parent.name.startswith("_")]
-        return sorted(found, key=lambda p: (p.stat().st_mtime_ns, p))
+        found = []
+        for path in self.folder.glob("*/*.h5"):
+            if not path.parent.name.startswith("_"):
+                with contextlib.suppress(OSError):  # it vanished meanwhile
+                    found.append((path.stat().st_mtime_ns, path))
+        return [path for _, path in sorted(found)]
 
     def find(self, run: str) -> Path:
         """The record that RUN means: a run id, a unique prefix of one, a file, or "last".

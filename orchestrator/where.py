@@ -54,7 +54,11 @@ class Where:
             if runs and all(lookup(run, name) is None for run in runs):
                 known = sorted({known for run in runs for known in _names(run)})
                 raise _error(self.source, column, f"no run has {name!r}{did_you_mean(name, known, 'there are')}")
-        return [run for run in runs if self._evaluate(run) is True]
+        return [run for run in runs if self.holds(run)]
+
+    def holds(self, run: Mapping[str, Any]) -> bool:
+        """Whether the expression is true of one run."""
+        return self._evaluate(run) is True
 
 
 def parse(source: str) -> Where:

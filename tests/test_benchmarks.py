@@ -29,3 +29,12 @@ def test_a_formation_of_vehicles_runs(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     rows = [line.split("|") for line in done.stdout.splitlines() if line.startswith(("| 2 |", "| 10 |"))]
     assert [row[2].strip() for row in rows] == ["9", "41"]
+
+
+@pytest.mark.slow
+def test_a_store_of_records_is_searched(tmp_path):
+    command = [sys.executable, BENCHMARKS / "store.py", "--records", "50"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "50 records" in done.stdout
+    assert "list --where a parameter" in done.stdout
+    assert not list(tmp_path.iterdir())

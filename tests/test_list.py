@@ -10,8 +10,11 @@ import time
 
 import h5py
 import pytest
+from click.testing import CliRunner
 from conftest import ORCH, merged, poll, single
 
+from orchestrator import listing
+from orchestrator.cli import orch as cli
 from orchestrator.index import NAME
 from orchestrator.where import WhereError, parse
 
@@ -229,7 +232,7 @@ def test_prune_says_what_would_go_and_deletes_when_told(orch, store):
 
 def test_prune_needs_a_filter_and_leaves_runs_that_go_on(orch, store, write, models, tmp_path):
     assert orch("prune", "--yes").code == 2
-    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3), "slow.toml"), "-q"], cwd=tmp_path) as process:
+    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3, stop_time=5.0), "slow.toml"), "-q"], cwd=tmp_path) as process:
         poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
         time.sleep(0.3)
         orch("prune", "--since", "1w", "--yes")
@@ -237,3 +240,130 @@ def test_prune_needs_a_filter_and_leaves_runs_that_go_on(orch, store, write, mod
         process.kill()
     shutil.rmtree(store / "slow")
     assert listed(orch) == []
+
+
+def replace(path, content, like):
+    """Put other content into a file, of the size and time of the former."""
+    path.write_bytes(content + bytes(like.st_size - len(content)))
+    os.utime(path, ns=(like.st_mtime_ns, like.st_mtime_ns))
+
+
+def test_prune_believes_the_file_and_not_what_was_listed_of_it(orch, store, tmp_path):
+    failed = tmp_path / listed(orch, "--status", "failed")[0]["file"]
+    good = tmp_path / listed(orch, "--experiment", "sea")[0]["file"]
+    with failed.open("ab") as file:  # room for the other
+        file.write(bytes(good.stat().st_size))
+    assert len(listed(orch, "--status", "failed")) == 1
+    replace(failed, good.read_bytes(), failed.stat())
+    answer = orch("prune", "--status", "failed", "--yes")
+    assert (answer.code, failed.exists()) == (2, True)
+    assert f"{failed.relative_to(tmp_path)} stays: it has changed since it was listed, and is completed" in answer.err
+    assert "0 records, 0.0 MB: deleted" in answer.err
+
+
+def test_prune_leaves_a_record_that_a_process_has_begun_to_write(orch, store, tmp_path):
+    failed = tmp_path / listed(orch, "--status", "failed")[0]["file"]
+    with h5py.File(failed, "r+"):
+        answer = orch("prune", "--status", "failed", "--yes")
+    assert (answer.code, failed.exists()) == (2, True)
+    assert "stays: a process writes it" in answer.err
+
+
+def test_prune_leaves_what_has_replaced_a_record_since_it_was_listed(orch, store, tmp_path, monkeypatch):
+    failed = tmp_path / listed(orch, "--status", "failed")[0]["file"]
+    good = tmp_path / listed(orch, "--experiment", "sea")[0]["file"]
+    choose = listing.choose
+
+    def slowly(*arguments):
+        found = choose(*arguments)
+        shutil.copy(good, tmp_path / "new.h5")
+        os.replace(tmp_path / "new.h5", failed)
+        return found
+
+    monkeypatch.setattr(listing, "choose", slowly)
+    monkeypatch.chdir(tmp_path)
+    answer = CliRunner().invoke(cli, ["prune", "--status", "failed", "--yes"])
+    assert "completed now" in str(answer.exception)
+    assert failed.read_bytes() == good.read_bytes()
+
+
+def test_prune_deletes_the_others_when_one_cannot_go(orch, store, tmp_path):
+    one, *others = [tmp_path / run["file"] for run in listed(orch)]
+    with h5py.File(one, "r+"):
+        assert orch("prune", "--since", "1d", "--yes").code == 2
+    assert one.exists()
+    assert not any(path.exists() for path in others)
+
+
+# --- A store that others change ---------------------------------------------------------------------------------------
+
+
+def test_a_record_that_vanishes_hides_no_other(orch, store):
+    """What a vanished file does at the worst moment, a link that leads nowhere does at every moment."""
+    for folder in ("mine", "sea", "time"):
+        (store / folder / "0.h5").symlink_to("nowhere.h5")
+        (store / folder / "loop.h5").symlink_to("loop.h5")
+    (store / "away").symlink_to("nowhere")
+    (store / "file").write_text("no folder")
+    assert len(listed(orch)) == 4
+    assert orch("show", "last").code == 0
+
+
+def test_a_store_that_is_no_folder_has_no_runs_and_a_forbidden_one_says_so(orch, store, tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    answer = orch("list", "--results", "loop")
+    assert (answer.code, answer.err.splitlines()[0][:24]) == (2, "loop cannot be read: Too")
+    assert orch("list", "--results", "sea.toml").err == "no run in sea.toml\n"
+
+
+# --- What is connected to what ----------------------------------------------------------------------------------------
+
+
+AXES = ("x", "y", "z", "phi", "theta", "psi")
+
+
+@pytest.fixture
+def wired(orch, write, spiral):
+    """wired(axes of the vehicle's eta that go into the controller's, in order) -> run id."""
+
+    def record(*sources):
+        connections = {k: v for k, v in spiral["connections"].items() if k != "controller.eta"}
+        pairs = zip(AXES, sources, strict=True)
+        connections |= {f"controller.eta.{axis}": f"vehicle.eta.{source}" for axis, source in pairs if source}
+        start = {"controller.eta." + axis: 0.0 for axis, source in zip(AXES, sources, strict=True) if not source}
+        table = merged(spiral, {"connections": connections})
+        table["components"]["controller"]["start"] = {k.removeprefix("controller."): v for k, v in start.items()}
+        answer = orch("run", write(table), "--json")
+        assert answer.code == 0, answer.err
+        return answer.json["run_id"]
+
+    return record
+
+
+def test_diff_sees_axes_that_are_crossed_and_axes_that_are_missing(orch, wired):
+    straight = wired(*AXES)
+    for others, names in (
+        (("x", "y", "z", "theta", "phi", "psi"), {"phi", "theta"}),
+        (("x", "y", "z", "phi", "theta", None), {"psi"}),
+    ):
+        answer = orch("diff", straight, wired(*others), "--json")
+        assert answer.code == 1
+        found = {c["name"]: (c["before"], c["after"]) for c in answer.json if c["name"].startswith("connections")}
+        assert names <= {name.rpartition(".")[2] for name in found}
+        assert found["connections.controller.eta." + min(names)][0] == "vehicle.eta." + min(names)
+
+
+def test_the_exit_code_of_diff_is_that_of_the_digests(orch, store, tmp_path):
+    path = tmp_path / listed(orch, "--experiment", "time")[0]["file"]
+    other = shutil.copy(path, tmp_path / "other.h5")
+    with h5py.File(other, "r+") as file:
+        file.attrs["digest"] = "0" * 64
+    answer = orch("diff", path, other)
+    assert (answer.code, answer.out) == (1, "")
+    assert answer.err == "their digests differ, and with them something that decides the numbers\n"
+    with h5py.File(other, "r+") as file:  # the same FMU by another name
+        resolved = json.loads(file.attrs["experiment_resolved"])
+        resolved["components"][0]["fmu"] = "copy.fmu"
+        file.attrs.update({"experiment_resolved": json.dumps(resolved), "digest": h5py.File(path).attrs["digest"]})
+    answer = orch("diff", path, other, "--json")
+    assert (answer.code, [(c["after"], c["decides"]) for c in answer.json]) == (0, [("copy.fmu", False)])

@@ -409,3 +409,20 @@ def test_a_swap_to_an_fmu_without_the_output_that_others_read_is_an_error(orch, 
 def test_without_a_swap_a_connection_into_a_lacking_input_is_an_error(problems, two):
     ((_, sentence),) = problems(two(b=[v for v in PROBE_VARIABLES if v[0] != "text"]))
     assert "no input 'b.text'" in sentence
+
+
+def test_numbered_axes_are_taken_by_their_numbers_and_not_as_they_are_declared(resolve, two):
+    """Eleven of them, so that "10" comes after "2"."""
+    numbers = [3, 1, 2, *range(11, 3, -1)]
+    outputs = [(f"n[{i}]", "Real", "output", None, "m", "") for i in numbers]
+    inputs = [(f"p[{i}]", "Real", "input", "0", "m", "") for i in range(1, 12)]
+    gains = [(f"k[{i}]", "Real", "parameter", "0", "m", "") for i in numbers]
+    named = vector("q", "abcdefghijk", causality="input")
+    table = two([*outputs, *gains], [*inputs, *named], connections={"b.p": "a.n", "b.q": "a.n"})
+    table["components"]["a"]["parameters"] = {"k": list(range(1, 12))}
+    plan = resolve(table)
+    found = {link.input.name: link.output.name for link in plan.links}
+    assert found == {f"p[{i}]": f"n[{i}]" for i in range(1, 12)} | {
+        f"q.{axis}": f"n[{i}]" for i, axis in enumerate("abcdefghijk", 1)
+    }
+    assert plan.parts[0].parameters == {f"k[{i}]": i for i in range(1, 12)}

@@ -51,7 +51,7 @@ def list_(
     !=, <, <=, >, >=, in [...] and like 'glob*'.
     """
     from .. import listing
-    from ..show import columns_of
+    from ..columns import columns_of
 
     filters = listing.Filters(experiment, status, since, before, where)
     found = listing.choose(Path(results), filters)
@@ -59,7 +59,7 @@ def list_(
     found = found[:limit]
     shown = [*listing.COLUMNS, *(name.strip() for name in columns.split(",") if name.strip())]
     if as_json:
-        click.echo(json.dumps(found))
+        click.echo(json.dumps([dict(run) for run in found]))
     elif as_csv:
         click.echo(listing.as_csv(found, [*shown, "file"]), nl=False)
     elif found:
@@ -78,22 +78,25 @@ def list_(
 def diff(a: str, b: str, results: str, as_json: bool) -> int:
     """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
 
-    Exit code 0 where nothing differs that decides the numbers, else 1.
+    Exit code 0 where nothing differs that decides the numbers, that is, the digests are the same; else 1.
     """
     from .. import changes
-    from ..show import columns_of
+    from ..columns import columns_of
     from ..store import open_run
 
     with open_run(a, results) as first, open_run(b, results) as second:
         found = changes.changes(first, second)
         names = first.run_id, second.run_id
+        same = first.attributes["digest"] == second.attributes["digest"]
     if as_json:
         click.echo(json.dumps([change.__dict__ for change in found]))
     elif found:
         click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
-    else:
+    elif same:
         tell("nothing differs but clocks")
-    return 1 if any(change.decides for change in found) else 0
+    if not same and not any(change.decides for change in found):
+        tell("their digests differ, and with them something that decides the numbers")
+    return 0 if same else 1
 
 
 @click.command()
@@ -108,16 +111,28 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
     orch prune --where "master.step > 0.001" --yes
     """
     from .. import listing
-    from ..show import short
+    from ..columns import short
+    from ..pruning import Stays, delete
 
     filters = listing.Filters(experiment, status, since, before, where)
     if not filters:
         raise OrchError("prune deletes what passes its filters; give one, such as --status failed")
-    found = [run for run in listing.choose(Path(results), filters) if run["status"] != "running"]
-    for run in found:
-        if yes:
-            Path(run["file"]).unlink(missing_ok=True)
-        click.echo(f"{short(Path(run['file']))}  {run['status']}")
-    size = sum(run["bytes"] for run in found) / 1e6
-    what = "1 record" if len(found) == 1 else f"{len(found)} records"
+    passes = listing.passing(filters)
+    gone, kept = [], []
+    for run in listing.choose(Path(results), filters):
+        if run["status"] == "running":
+            continue
+        path = Path(run["file"])
+        try:
+            if yes:
+                delete(path, passes)
+        except Stays as error:
+            kept.append(f"{short(path)} stays: {error}")
+        else:
+            gone.append(run)
+            click.echo(f"{short(path)}  {run['status']}")
+    size = sum(run["bytes"] for run in gone) / 1e6
+    what = "1 record" if len(gone) == 1 else f"{len(gone)} records"
     tell(f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would go; --yes deletes them")
+    if kept:
+        raise OrchError("\n".join(kept))

@@ -92,15 +92,34 @@ def run(
 @click.argument("experiment", metavar="EXPERIMENT.toml")
 @changes_options
 @packaging_option
+@click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
+@click.option("--timeout", metavar="S", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
+              help="Of --load, for each FMU.")  # fmt: skip
 @json_option
-def check(experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, as_json: bool) -> None:
-    """Find all problems of an experiment and its FMUs; run nothing."""
+def check(
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, load: bool, timeout: float,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Find all problems of an experiment and its FMUs; run nothing, and load no FMU unless --load asks for it.
+
+    \b
+    orch check experiments/spiral_pid.toml
+    orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
+    """
     from .. import show
 
+    told = silent if as_json else tell
     try:
-        plan = prepared(experiment, sets, swaps, silent if as_json else tell, packaging)
+        plan = prepared(experiment, sets, swaps, told, packaging)
+        if load:
+            from .. import loading
+
+            if problems := loading.problems(plan, timeout):
+                raise ExperimentError(plan.experiment.path, problems)
     except ExperimentError as error:
         if as_json:
             click.echo(json.dumps(show.problems_as_json(error)))
         raise
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
+    if load:
+        told("every FMU was loaded and initialized")

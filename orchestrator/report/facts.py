@@ -10,7 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from .. import metrics
-from ..show import short
+from ..columns import short
 
 if TYPE_CHECKING:
     from ..store import Run
