@@ -83,7 +83,11 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         spent += sum(phases)
         rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
     rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
-    return [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    if pacing := timing.get("pacing"):
+        lines.append(f"  paced at {pacing['factor']:g}x real time: {pacing['late_mean'] * 1e3:.3g} ms late on average, "
+                     f"{pacing['late_max'] * 1e3:.3g} ms at worst, {pacing['late_end'] * 1e3:.3g} ms at the end")  # fmt: skip
+    return lines
 
 
 def _share(part: float, whole: float) -> str:

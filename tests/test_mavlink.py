@@ -221,6 +221,19 @@ def test_what_is_for_somebody_else_is_not_answered(station):
     assert named("COMMAND_ACK")(station.listen(0.5), 1) == []
 
 
+def test_signed_frames_are_dropped_where_nobody_knows_the_key(bridge, station):
+    signing = Station.udpout(bridge.udpin, key=b"k" * 32)
+    signing.send(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    signing.socket.settimeout(0.3)
+    parser, end = mavlink.MAVLink(None), time.monotonic() + 0.5
+    kinds = set()
+    while time.monotonic() < end:
+        kinds |= {m.get_type() for m in parser.parse_buffer(signing.socket.recv(4096)) or []}
+    assert "ATTITUDE" in kinds
+    assert "COMMAND_ACK" not in kinds
+    signing.close()
+
+
 def test_an_endpoint_can_be_for_one_vehicle(bridge, station):
     alone = Station.udpout(bridge.one)
     alone.expect("HEARTBEAT", system=2)

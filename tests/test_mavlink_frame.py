@@ -95,6 +95,9 @@ def test_the_rotation_turns_body_axes_into_ned():
     assert rotation(0, 0, math.pi / 2) @ [1, 0, 0] == pytest.approx([0, 1, 0])
     assert rotation(0, math.pi / 2, 0) @ [1, 0, 0] == pytest.approx([0, 0, -1])
     assert rotation(math.pi / 2, 0, 0) @ [0, 1, 0] == pytest.approx([0, 0, 1])
+    R = rotation(0.3, -0.4, 1.1)
+    assert pytest.approx(rotation(0, 0, 1.1) @ rotation(0, -0.4, 0) @ rotation(0.3, 0, 0)) == R
+    assert pytest.approx(np.eye(3)) == R.T @ R
 
 
 def test_the_declared_variables_of_the_components_are_consistent():

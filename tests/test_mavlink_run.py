@@ -241,6 +241,53 @@ def test_a_record_without_velocities_gives_no_telemetry_log_and_says_why(orch):
     assert "does not record vehicle1.nu" in answer.err
 
 
+def test_samples_are_at_whole_milliseconds_where_the_step_is_none(run, spiral, write, tmp_path):
+    table = merged(spiral, {"master.step": 3e-4, "record.every": 3e-4, "master.stop_time": 0.9, "metrics": {}})
+    listener = Station.udpin(port := free_port())
+    process = run("--mavlink", f"udpout:127.0.0.1:{port}", "--realtime", "--quiet", "--output", "run.h5",
+                  experiment=str(write(table)))  # fmt: skip
+    while process.poll() is None:
+        listener.receive(0.1)
+    record, messages = datasets(tmp_path / "run.h5"), named("ATTITUDE")(listener.messages, 1)
+    assert len(messages) >= 6
+    assert {m.time_boot_ms % 3 for m in messages} == {0}
+    assert [m.yawspeed for m in messages] == [
+        np.float32(record["vehicle/nu.r"][round(m.time_boot_ms / 0.3)]) for m in messages
+    ]
+    listener.close()
+
+
+def test_what_a_deaf_client_leaves_is_dropped_as_whole_frames():
+    from collections import Counter
+
+    from orchestrator.mavlink import links
+
+    endpoint = links.Endpoint.parse(f"tcpin:127.0.0.1:{free_port(socket.SOCK_STREAM)}")
+    counts = Counter()
+    link = links.open_link(endpoint, counts)
+    client = socket.create_connection(("127.0.0.1", endpoint.number))
+    while not link.peers:
+        list(link.receive(0.0))
+    frames = [bytes([n % 251]) * 1000 for n in range(20_000)]
+    began = time.monotonic()
+    for frame in frames:
+        link.send(link.peers[0], frame)
+    assert time.monotonic() - began < 5
+    assert 0 < counts["frames dropped"] < len(frames)
+    client.settimeout(1)
+    received = b""
+    while True:
+        list(link.receive(0.0))
+        try:
+            received += client.recv(1 << 20)
+        except TimeoutError:
+            break
+    assert len(received) == 1000 * (len(frames) - counts["frames dropped"])
+    assert all(len(set(received[i : i + 1000])) == 1 for i in range(0, len(received), 1000))
+    client.close()
+    link.close()
+
+
 def test_who_comes_and_goes_is_heard_and_forgotten():
     from collections import Counter
 

@@ -293,6 +293,30 @@ def test_junk_at_the_port_is_ignored_and_an_output_not_in_use_rests():
     sender.close()
 
 
+def test_a_packet_that_comes_again_gets_the_same_answer_and_no_step():
+    component = ArdupilotJson("ardusub", {"port": float(port := free_port())}, {})
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sender.settimeout(5)
+
+    def send(count):
+        sender.sendto(PACKET.pack(18458, 400, count, *[1500 + count] * 16), ("127.0.0.1", port))
+
+    send(1)
+    assert component.listen(0.0, np.zeros(15))[0] == 1501
+    heard = []
+    thread = threading.Thread(target=lambda: heard.append(component.listen(0.0025, np.ones(15))))
+    thread.start()
+    answer = sender.recv(1 << 16)
+    send(1)
+    assert sender.recv(1 << 16) == answer
+    assert not heard
+    send(2)
+    thread.join(timeout=10)
+    assert heard[0][0] == 1502
+    component.close()
+    sender.close()
+
+
 def test_the_reply_is_what_ardupilots_parser_wants():
     state = parsed(reply(1.25, np.array([1, 2, 3, 0.1, 0.2, 7.0, 0.5, 0, 0, 0.01, 0.02, 0.03, 1e-7, 0.2, -9.81])))
     assert state["timestamp"] == 1.25
