@@ -115,7 +115,7 @@ typedef struct {
     Py_ssize_t sample_every, stride;
     double overhead; /* of looking at the clock */
     const int32_t *interrupt;
-    int holds_lock;
+    int holds_lock, records_inputs;
 } Loop;
 
 /* --- The loop ------------------------------------------------------------------------------------------------------- */
@@ -457,7 +457,7 @@ static void loop_dealloc(Loop *self) {
 
 /* Values that lie in the table as the setter wants them need no copy. */
 static void use_in_place(const Loop *self, Call *c) {
-    if (c->n_runs != 1 || c->runs[0].n != c->n || !c->function) return;
+    if (self->records_inputs || c->n_runs != 1 || c->runs[0].n != c->n || !c->function) return;
     c->values = (char *)self->tables[c->kind] + c->runs[0].source * size_of(c->kind);
     c->n_runs = 0;
 }
@@ -473,9 +473,10 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
     void *places[KINDS];
     if (self->owners) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
-    if (!PyArg_ParseTuple(arguments, "O!O!(nn)O!O!(OOn)Onp", &PyList_Type, &members, &PyTuple_Type, &tables,
+    if (!PyArg_ParseTuple(arguments, "O!O!(nn)O!O!(OOn)Onpp", &PyList_Type, &members, &PyTuple_Type, &tables,
                           &self->n_reals, &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations,
-                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock))
+                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock,
+                          &self->records_inputs))
         return -1;
     self->owners = Py_NewRef(arguments);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
@@ -533,7 +534,7 @@ static PyMethodDef loop_methods[] = {
 
 static PyType_Slot loop_slots[] = {
     {Py_tp_doc, "Loop(members, tables, computed, recorded, alternations, (seconds, samples, every), interrupt, stride, "
-                "holds_lock); see loop.py"},
+                "holds_lock, records_inputs); see loop.py"},
     {Py_tp_init, loop_init},
     {Py_tp_new, PyType_GenericNew},
     {Py_tp_dealloc, loop_dealloc},

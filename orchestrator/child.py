@@ -45,7 +45,7 @@ class Server:
     def __init__(self, connection: Connection, wake: socket.socket, memory: mmap.mmap, looks: int):
         self._connection, self._wake, self._memory, self._looks = connection, wake, memory, looks
         self._words, self._numbers = words_of(memory), numbers_of(memory)
-        self._instance: Instance
+        self._made: Instance | None = None
         self._calls: dict[str, list[tuple[Any, Any]]] = {"Set": [], "Get": []}
         self._answered = 0
         self._poll = select.poll()
@@ -69,7 +69,7 @@ class Server:
                     return
 
     def instantiate(self, name: str, fmu: Fmu, folder: Path) -> None:
-        self._instance = (Instance if fmu.version == 2 else Instance3)(name, Library(fmu, folder))
+        self._made = (Instance if fmu.version == 2 else Instance3)(name, Library(fmu, folder))
 
     def instance(self, method: str, *arguments: Any) -> Any:
         return getattr(self._instance, method)(*arguments)
@@ -95,7 +95,13 @@ class Server:
         return status, {i: list(b) for i, (_, b) in enumerate(self._calls["Get"]) if b.dtype == DTYPES[OBJECTS[0]]}
 
     def close(self) -> None:
-        self._instance.close()
+        if self._made is not None:
+            self._made.close()
+
+    @property
+    def _instance(self) -> Instance:
+        assert self._made is not None  # the first that is asked for
+        return self._made
 
     def serve(self) -> None:
         """Step whenever the parent counts on, until a step fails or something else is asked for."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import click
 
 from . import __version__
-from .commands import comparing, exporting, finding, models, records, reporting, rerunning, running, studies
+from .commands import comparing, exchanging, exporting, finding, models, records, reporting, rerunning, running, studies
 from .errors import OrchError
 from .options import INTERRUPTED
 
@@ -85,7 +85,7 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         ctx.exit()
 
 
-for module in (running, rerunning, models, records, finding, comparing, exporting, reporting, studies):
+for module in (running, rerunning, models, records, finding, comparing, exporting, exchanging, reporting, studies):
     for command in vars(module).values():
         if isinstance(command, click.Command):
             orch.add_command(command)

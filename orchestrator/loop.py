@@ -170,6 +170,7 @@ class CompiledLoop:
             interrupt.flag,
             system.plan.stride,
             holds_lock,
+            system.plan.experiment.record.inputs,
         )
 
     def advance(self, last: int, patience: float) -> None:

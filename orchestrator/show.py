@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from . import metrics
+from . import metrics, system_table
 from .columns import columns_of
 from .columns import short as short  # of the tables
 from .errors import ExperimentError, OrchError
@@ -133,11 +133,6 @@ def problems_as_json(error: ExperimentError) -> dict[str, Any]:
 def plan(plan: Plan) -> str:
     """The resolved system, as `orch check` prints it."""
     master, record = plan.experiment.master, plan.experiment.record
-    rows = [("component", "fmu", "packaging", "steps every", "fed by")]
-    for part in plan.parts:
-        sources = dict.fromkeys(link.source for link in plan.links if link.sink == part.name)
-        step = plan.experiment.grid.time(part.period)
-        rows.append((part.name, part.fmu_name, part.fmu.packaging, f"{step:g} s", " ".join(sources) or "-"))
     scalars = f"{len(plan.links)} scalar connections"
     lines = [
         f"{plan.experiment.path}: no problems",
@@ -145,8 +140,10 @@ def plan(plan: Plan) -> str:
         f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
         *(f"  note: {note}" for note in plan.notes),
         "",
-        *columns_of(rows, indent=2),
+        *columns_of(system_table.components(plan), indent=2),
     ]
+    if plan.links:
+        lines += ["", *columns_of(system_table.connections(plan), indent=2)]
     return "\n".join(lines)
 
 

@@ -10,7 +10,6 @@ import contextlib
 import itertools
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from .instance3 import Instance3
 from .member import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, MemberFailed, Publication, failing
 from .plan import Link, Part, Plan
 from .remote import Remote
+from .scratch import Scratch
 from .variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 
 Context = Mapping[str, Mapping[str, Any]]
@@ -42,7 +42,7 @@ class System:
         self.recorded: dict[str, Any] = {}
         self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
         self._names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
-        self._folder = tempfile.TemporaryDirectory(prefix="orch-", ignore_cleanup_errors=True)
+        self._folder = Scratch()
         try:
             self._instantiate()
             self._wire()
@@ -68,8 +68,8 @@ class System:
     def close(self) -> None:
         for member in self.members:
             member.instance.close()
-        sys.path[:] = [p for p in sys.path if not p.startswith(self._folder.name)]
-        self._folder.cleanup()
+        sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
+        self._folder.close()
 
     def initialize(self) -> None:
         """Initialization mode: parameters, start values, and sweeps until the outputs agree with the inputs.
@@ -143,7 +143,7 @@ class System:
                 raise KeyboardInterrupt
             path = part.fmu.path
             if path not in folders and not part.live:
-                folders[path] = Path(self._folder.name) / str(len(folders)) / part.fmu.model_identifier
+                folders[path] = self._folder.path / str(len(folders)) / part.fmu.model_identifier
                 unpack(part.fmu, folders[path])
             if part.live:
                 context = {"interrupted": self._interrupted, **self._context.get(part.name, {})}
@@ -152,7 +152,7 @@ class System:
                 instance = self._instance(part, folders[path], libraries)
             self.members.append(Member(part, instance, self._step_of(part)))
         # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
-        ours = [p for p in sys.path if p.startswith(self._folder.name)]
+        ours = [p for p in sys.path if p.startswith(str(self._folder.path))]
         sys.path[:] = [p for p in sys.path if p not in ours] + ours
 
     def _instance(self, part: Part, folder: Path, libraries: dict[Path, Library]) -> Instance:

@@ -325,6 +325,7 @@ PROBE = r"""
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 typedef void *Logger(void *, const char *, int, const char *, const char *, ...);
 typedef struct { Logger *logger; void *(*allocate)(size_t, size_t); void (*release)(void *); void *done;
@@ -422,6 +423,10 @@ int fmi2DoStep(Probe *p, double t, double h, int keep) {
         case 9: return say(p, WARNING, "the probe feels warm");
         case 10: p->real[HIDDEN] = NAN; return OK;
         case 11: p->state = FAILED; return ERROR;
+        case 12: *(volatile int *)NULL = 1; break;
+        case 13: abort();
+        case 14: exit(3);
+        case 15: for (;;) sleep(1);
     }
     return OK;
 }

@@ -232,7 +232,8 @@ def test_prune_says_what_would_go_and_deletes_when_told(orch, store):
 
 def test_prune_needs_a_filter_and_leaves_runs_that_go_on(orch, store, write, models, tmp_path):
     assert orch("prune", "--yes").code == 2
-    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3, stop_time=5.0), "slow.toml"), "-q"], cwd=tmp_path) as process:
+    path = write(single("moody", pause=0.3, stop_time=5.0), "slow.toml")
+    with subprocess.Popen([ORCH, "run", path, "-q"], cwd=tmp_path) as process:
         poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
         time.sleep(0.3)
         orch("prune", "--since", "1w", "--yes")

@@ -12,10 +12,10 @@ import pytest
 from conftest import EXPERIMENTS, poll
 
 import orchestrator
+from orchestrator.diagram import diagram
 from orchestrator.errors import OrchError
 from orchestrator.report import page as report
 from orchestrator.report.arrays import thin
-from orchestrator.report.diagram import diagram
 from orchestrator.report.scene import gripped
 from orchestrator.vehicles import vehicles
 

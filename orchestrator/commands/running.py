@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import click
@@ -50,7 +51,7 @@ def run(
     as_json: bool,
     **live: Any,
 ) -> int:
-    """Run an experiment and record it."""
+    """Run an experiment, or a SYSTEM.ssp, and record it."""
     from .. import show
     from ..progress import Progress
     from ..runner import execute
@@ -92,19 +93,23 @@ def run(
 @click.argument("experiment", metavar="EXPERIMENT.toml")
 @changes_options
 @packaging_option
+@click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
 @click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
 @click.option("--timeout", metavar="S", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
               help="Of --load, for each FMU.")  # fmt: skip
 @json_option
 def check(
-    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, load: bool, timeout: float,
-    as_json: bool,
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, load: bool,
+    timeout: float, as_json: bool,
 ) -> None:  # fmt: skip
-    """Find all problems of an experiment and its FMUs; run nothing, and load no FMU unless --load asks for it.
+    """Find all problems of an experiment and its FMUs, and show the system; run nothing.
+
+    No FMU is loaded unless --load asks for it.
 
     \b
-    orch check experiments/spiral_pid.toml
+    orch check experiments/gripping_currents.toml --diagram system.svg
     orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
+    orch check system.ssp
     """
     from .. import show
 
@@ -120,6 +125,12 @@ def check(
         if as_json:
             click.echo(json.dumps(show.problems_as_json(error)))
         raise
+    if diagram is not None:
+        from ..diagram import write
+
+        write(plan, Path(diagram))
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
     if load:
         told("every FMU was loaded and initialized")
+    if diagram is not None and not as_json:
+        click.echo(f"\n{show.short(Path(diagram))}")

@@ -14,12 +14,12 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
+from ..diagram import diagram
 from ..differences import differences
 from ..errors import OrchError, StoreError
 from ..vehicles import vehicles
 from . import curves, facts, scene
 from .colours import colours
-from .diagram import diagram
 
 if TYPE_CHECKING:
     from ..store import Run

@@ -1,7 +1,8 @@
 """The system as a picture: components in columns from references to vehicles, an arrow for what one gives another.
 
-An arrow to the next column runs straight; every other one, feedback above all, leaves to the right, runs in a lane
-above or below all components, and comes in from the left: so no arrow crosses a component.
+As SVG, inside a page or as a file of its own, and as Mermaid.  In SVG an arrow to the next column runs straight; every
+other one, feedback above all, leaves to the right, runs in a lane above or below all components, and comes in from the
+left: so no arrow crosses a component.
 """
 
 from __future__ import annotations
@@ -9,13 +10,28 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from ..variables import split_axis
+from .errors import OrchError, StoreError
+from .variables import split_axis
+
+if TYPE_CHECKING:
+    from .plan import Plan
 
 WIDTH, HEIGHT = 148, 50  # px, of a component
 GUTTER, GAP = 112, 34  # px, between columns, between the components of one
 LANE, LINE = 20, 13  # px, between lanes, between lines of a label
+STYLE = """
+svg { font-family: system-ui, "Segoe UI", "DejaVu Sans", sans-serif; font-size: 13px; background: #fff; }
+#tip path { fill: #5c6b73; } .component rect { fill: #f4f7f8; stroke: #0b7285; stroke-width: 1.4; }
+.component text { text-anchor: middle; fill: #1c2529; font-weight: 600; }
+.component .fmu { fill: #5c6b73; font-weight: 400; font-size: 11.5px; }
+.arrow { fill: none; stroke: #5c6b73; stroke-width: 1.3; } .arrow.back { stroke-dasharray: 5 3; }
+.vector { text-anchor: middle; fill: #1c2529; font-size: 11.5px; stroke: #fff; stroke-width: 4px; paint-order: stroke; }
+"""
+RESERVED = {"end", "graph", "subgraph", "flowchart", "default", "class", "classDef", "style", "click", "linkStyle",
+            "direction"}  # what Mermaid does not take as a node's name
 Arrows = dict[tuple[str, str], list[str]]  # {(source, sink): names of the vectors}
 
 
@@ -29,13 +45,66 @@ def diagram(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
     return _Drawing(fmus, arrows, columns).svg()
 
 
-def _arrows(connections: Iterable[Sequence[str]]) -> Arrows:
-    """Scalar connections (input, output), gathered to vectors: "eta", or "u to command" where the names differ."""
+def write(plan: Plan, target: Path) -> Path:
+    """Draw a plan into FILE.svg, FILE.mmd or FILE.md (Mermaid).  Raises OrchError for another name or a full disk."""
+    forms = {".svg": _standalone, ".mmd": mermaid, ".md": lambda *system: f"```mermaid\n{mermaid(*system)}```\n"}
+    if target.suffix.lower() not in forms:
+        raise OrchError(f"{target}: a diagram is written as .svg, .mmd or .md (Mermaid)")
+    text = forms[target.suffix.lower()](plan.resolved, feedback(plan))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{target} cannot be written: {error.strerror}") from None
+    return target
+
+
+def feedback(plan: Plan) -> set[str]:
+    """Components that are fed and give states only: what they put out does not depend on an input of the instant."""
+    fed = {link.sink for link in plan.links}
+    direct = {link.source for link in plan.links if link.output.feedthrough}
+    return fed & {link.source for link in plan.links} - direct
+
+
+def mermaid(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
+    """A Mermaid flowchart; feedback is dotted.  Arguments as of `diagram`."""
+    back = set(vehicles)
+    lines = ["flowchart LR"]
+    for component in resolved["components"]:
+        fmu = _fmu_name(str(component["fmu"]))
+        lines.append(f'    {_node(component["name"])}["{_quoted(component["name"])}<br/>{_quoted(fmu)}"]')
+    for (source, sink), names in _arrows(resolved["connections"]).items():
+        arrow = "-.->" if source in back else "-->"
+        lines.append(f'    {_node(source)} {arrow}|"{_quoted(", ".join(names))}"| {_node(sink)}')
+    return "\n".join(lines) + "\n"
+
+
+def _standalone(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
+    svg = diagram(resolved, vehicles)
+    head, _, rest = svg.partition(">")
+    return f'{head} xmlns="http://www.w3.org/2000/svg"><style>{STYLE}</style>{rest}\n'
+
+
+def _node(name: str) -> str:
+    return f"{name}_" if name in RESERVED else name
+
+
+def _quoted(text: str) -> str:
+    return text.replace("#", "#35;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
+
+
+def _fmu_name(fmu: str) -> str:
+    return fmu.replace("\\", "/").rpartition("/")[2]
+
+
+def _arrows(connections: Iterable[Sequence[Any]]) -> Arrows:
+    """Scalar connections (input, output, what lies between), gathered: "eta", or "u to command" where names differ."""
     arrows: Arrows = {}
-    for sink, source in connections:
+    for sink, source, *between in connections:
         (source_component, _, source_name), (sink_component, _, sink_name) = source.partition("."), sink.partition(".")
         names = split_axis(source_name)[0], split_axis(sink_name)[0]
         label = names[0] if names[0] == names[1] else f"{names[0]} → {names[1]}"
+        label += " (scaled)" if between else ""
         labels = arrows.setdefault((source_component, sink_component), [])
         if label not in labels:
             labels.append(label)
@@ -102,7 +171,8 @@ class _Drawing:
 
     def svg(self) -> str:
         parts = [
-            f'<svg class="diagram" viewBox="0 0 {self.width} {self.height:.0f}" role="img" '
+            f'<svg class="diagram" viewBox="0 0 {self.width} {self.height:.0f}" '
+            f'width="{self.width}" height="{self.height:.0f}" role="img" '
             f'style="min-width:{self.width * 0.8:.0f}px;max-width:{self.width}px" '
             f'aria-label="{escape(self._words())}">',
             '<defs><marker id="tip" viewBox="0 0 8 8" refX="7.5" refY="4" markerWidth="8" markerHeight="8" '
@@ -156,7 +226,7 @@ class _Drawing:
     def _component(self, name: str) -> str:
         x, y = self._left(name), self._middle(name) - HEIGHT / 2
         middle = x + WIDTH / 2
-        fmu = self.fmus[name].replace("\\", "/").rpartition("/")[2]
+        fmu = _fmu_name(self.fmus[name])
         return (
             f'<g class="component"><title>{escape(name)}: {escape(self.fmus[name])}</title>'
             f'<rect x="{x}" y="{y:.1f}" width="{WIDTH}" height="{HEIGHT}" rx="7"/>'

@@ -1,0 +1,42 @@
+"""A temporary folder that goes with its process: what a killed one leaves, the next one removes."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+PREFIX = "orch-"
+LOCK = "lock"
+
+
+class Scratch:
+    """`path`: an empty folder.  While the process lives, it holds a lock in there."""
+
+    def __init__(self) -> None:
+        if fcntl is not None:
+            _remove_abandoned(Path(tempfile.gettempdir()))
+        self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        if fcntl is not None:
+            # Under another name at first: nobody sees it without its lock.
+            self._lock = (self.path / f"{LOCK}.new").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX)
+            (self.path / f"{LOCK}.new").rename(self.path / LOCK)
+
+    def close(self) -> None:
+        shutil.rmtree(self.path, ignore_errors=True)
+        if fcntl is not None:
+            self._lock.close()
+
+
+def _remove_abandoned(folder: Path) -> None:
+    for lock in folder.glob(f"{PREFIX}*/{LOCK}"):
+        with contextlib.suppress(OSError), lock.open() as file:  # another user's, or gone by now
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(lock.parent, ignore_errors=True)
