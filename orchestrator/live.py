@@ -80,4 +80,5 @@ class Live:
             from .store import Run
 
             with Run(file) as record:
-                export(record, "tlog", Path(self.tlog))
+                if len(record.time):  # else it failed at once, and has said so
+                    export(record, "tlog", Path(self.tlog))

@@ -85,8 +85,9 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
     rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
     lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
     if pacing := timing.get("pacing"):
-        lines.append(f"  paced at {pacing['factor']:g}x real time: {pacing['late_mean'] * 1e3:.3g} ms late on average, "
-                     f"{pacing['late_max'] * 1e3:.3g} ms at worst, {pacing['late_end'] * 1e3:.3g} ms at the end")  # fmt: skip
+        mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
+        lines.append(f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, {worst:.3g} ms at worst, "
+                     f"{end:.3g} ms at the end")  # fmt: skip
     return lines
 
 

@@ -70,7 +70,6 @@ def run(
                 result = execute(ties.plan, output, results, again, observers, ties.context)
             finally:
                 progress.done()
-        asked.finish(result.file)
         for note in asked.notes:
             told(f"note: {note}")
     except OrchError as error:
@@ -83,9 +82,11 @@ def run(
         click.echo(show.result(result, plan))
     for warning in result.warnings:
         told(f"warning: {warning}")
+    if result.status != "completed":
+        click.echo(f"{result.file}: {result.error}", err=True)
+    asked.finish(result.file)
     if result.status == "completed":
         return 0
-    click.echo(f"{result.file}: {result.error}", err=True)
     return 3 if result.status == "failed" else INTERRUPTED
 
 
