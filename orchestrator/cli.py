@@ -97,7 +97,9 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         ctx.exit()
 
 
-COMMANDS = (running, rerunning, models, records, finding, comparing, exporting, exchanging, reporting, studies, sweeping)
+COMMANDS = (
+    running, rerunning, models, records, finding, comparing, exporting, exchanging, reporting, studies, sweeping,
+)  # fmt: skip
 
 for module in COMMANDS:
     for command in vars(module).values():

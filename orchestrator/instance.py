@@ -157,6 +157,18 @@ class Instance:
         buffer[:] = values
         self.check(self.exchange("Set", kind, references_of(variables[:1]), buffer)())
 
+    def values(self, variable: Variable) -> dict[str, Any]:
+        """{name: value} of a number as it is now, of an array all elements; nothing of an instance that is batched.
+
+        Raises CallFailed.
+        """
+        if self.batched:
+            return {}
+        elements = self.fmu.elements(variable)
+        buffer = np.zeros(len(elements), dtype=DTYPES[variable.kind])
+        self.check(self.exchange("Get", variable.kind, references_of([variable]), buffer)())
+        return dict(zip((element.name for element in elements), buffer.tolist(), strict=True))
+
     def room(self, kind: str, n: int) -> Any:
         """(n,) values of a kind, where a batched instance takes its inputs from and gives its outputs to."""
         return np.zeros(n, dtype=DTYPES[kind])

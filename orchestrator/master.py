@@ -48,6 +48,7 @@ class Outcome:
     heard: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)  # by components that steer: see builtin
     warnings: list[str] = field(default_factory=list)
     timing: dict[str, Any] = field(default_factory=dict)  # see timing
+    calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
 
 
 class Observer(Protocol):
@@ -58,11 +59,34 @@ class Observer(Protocol):
     def progress(self, tick: int) -> None: ...
 
 
+class Watcher:
+    """An observer that looks at the system itself, between chunks: the ones below do nothing unless overridden."""
+
+    def rows(self, block: Block) -> None: ...
+
+    def progress(self, tick: int) -> None: ...
+
+    def opened(self, system: System) -> None:
+        """The system is initialized; its `tables` hold the values of each `progress`, to read."""
+
+    def limit(self, tick: int, last: int) -> int:
+        """Where a chunk from `tick` ends that would go on to `last`: after `tick`, at most there."""
+        return last
+
+    def facts(self) -> dict[str, Any]:
+        """What the record shall tell of it beside where the time went."""
+        return {}
+
+
 def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
     outcome, interrupt = Outcome("completed"), interrupt or Interrupt()
     try:
         outcome.warnings += system.initialize()
+        outcome.calculated = system.calculated()
+        for observer in observers:
+            if isinstance(observer, Watcher):
+                observer.opened(system)
         _step_all(system, observers, outcome, interrupt)
     except MemberFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
@@ -102,6 +126,7 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     alternations = Alternations(system)
     timing = Timing([part.period for part in system.plan.parts])
     loop = choose(system, alternations, timing, interrupt)
+    watchers = [observer for observer in observers if isinstance(observer, Watcher)]
     _hand_over(loop, observers)
     steps, chunk, largest = system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
@@ -109,7 +134,10 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
         while loop.ticks < steps and not interrupt.is_set():
             since = time.perf_counter()
             try:
-                loop.advance(min(steps, loop.ticks + chunk), CHUNK_SECONDS)
+                last = min(steps, loop.ticks + chunk)
+                for watcher in watchers:
+                    last = watcher.limit(loop.ticks, last)
+                loop.advance(last, CHUNK_SECONDS)
             finally:
                 outcome.ticks = loop.ticks
                 _hand_over(loop, observers)
@@ -120,6 +148,8 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     finally:  # a run that fails, or that an FMU ends, is judged too
         timing.stepping = time.perf_counter() - began
         outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks, loop.name)
+        for watcher in watchers:
+            outcome.timing |= watcher.facts()
         outcome.warnings += alternations.warnings(loop.ticks)
     if loop.ticks < steps:
         outcome.status = "interrupted"

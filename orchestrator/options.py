@@ -37,6 +37,46 @@ def changes_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return set_(swap(command))
 
 
+def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--mavlink, --mavlink-key, --tlog and --realtime: what ties a run to the world outside."""
+    options = [
+        click.option("--mavlink", "endpoints", metavar="ENDPOINT", multiple=True,
+                     help="Show the vehicles to ground stations: udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT or "
+                     "serial:DEVICE:BAUD; 1=... shows only the vehicle with system id 1.  Repeatable."),
+        click.option("--mavlink-key", "key", metavar="FILE", help="Sign, and accept only what is signed."),
+        click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too."),
+        click.option("--realtime", metavar="[FACTOR]", is_flag=False, flag_value="1",
+                     help="Keep the pace of the clock, or FACTOR times that."),
+    ]  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def live_of(
+    experiment: str | None, endpoints: tuple[str, ...], key: str | None, tlog: str | None, realtime: str | None
+) -> tuple[str, Any]:
+    """The experiment, and the options above as a `live.Live`."""
+    from .live import Live
+
+    factor = None
+    if realtime is not None:
+        try:
+            factor = float(realtime)
+        except ValueError:
+            if experiment is not None:
+                words = f"--realtime {realtime}: write --realtime, or --realtime 2 for twice the pace"
+                raise click.UsageError(words) from None
+            experiment, factor = realtime, 1.0  # orch run --realtime EXPERIMENT.toml
+        if not 1e-3 <= factor <= 1e3:
+            raise click.UsageError(f"--realtime {realtime}: give a factor from 0.001 to 1000")
+    if experiment is None:
+        raise click.UsageError("Missing argument 'EXPERIMENT.toml'.")
+    if key is not None and not endpoints:
+        raise click.UsageError("--mavlink-key is for --mavlink; there is none")
+    return experiment, Live(endpoints, key, factor, tlog)
+
+
 def prepared(
     experiment: str,
     sets: tuple[str, ...],

@@ -54,7 +54,8 @@ class Link:
 
 @dataclass(frozen=True)
 class Plan:
-    """What will run.  `recorded`: component and variable of each signal."""
+    """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
+    table of values, too, for an observer."""
 
     experiment: Experiment
     parts: tuple[Part, ...]
@@ -62,6 +63,7 @@ class Plan:
     recorded: tuple[tuple[str, Variable], ...]
     notes: tuple[str, ...]
     created: str = ""  # when, where a component is live: each such run is one of its kind
+    watched: tuple[tuple[str, Variable], ...] = ()
 
     @property
     def steps(self) -> int:

@@ -77,7 +77,8 @@ class Recorder:
             self.flush()
 
     def progress(self, tick: int) -> None:
-        pass
+        if tick >= self._plan.steps and time.monotonic() - self._began > FLUSH_SECONDS:
+            self.flush()  # now: a paced run still has time
 
     def flush(self) -> None:
         """Write what is waiting: first every signal, then, when those are on disk, the times."""
@@ -112,14 +113,18 @@ class Recorder:
             "warnings": json.dumps(outcome.warnings),
             "timing": json.dumps(outcome.timing),
         }
+        calculated = {component: json.dumps(values) for component, values in outcome.calculated.items()}
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
                 attributes[name] = getattr(outcome, name)
         if outcome.last_inputs:
             attributes["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
         heard = sum(16 + values.nbytes for values_of in outcome.heard.values() for _, values in values_of)
-        with self._room(2 * sum(len(str(value)) for value in attributes.values()) + 2 * heard):
+        texts = [*map(str, attributes.values()), *calculated.values()]
+        with self._room(2 * sum(map(len, texts)) + HEADER * len(calculated) + 2 * heard):
             self.file.attrs.update(attributes)
+            for component, text in calculated.items():
+                self.file[component].attrs["calculated"] = text
             self._keep_heard(outcome)
         return wall_time, factor
 

@@ -84,7 +84,12 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         spent += sum(phases)
         rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
     rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
-    return [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    if pacing := timing.get("pacing"):
+        mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
+        lines.append(f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, "
+                     f"{worst:.3g} ms at worst, {end:.3g} ms at the end")  # fmt: skip
+    return lines
 
 
 def _share(part: float, whole: float) -> str:

@@ -24,7 +24,7 @@ from .member import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, Me
 from .plan import Link, Part, Plan
 from .remote import Remote
 from .scratch import Scratch
-from .variables import DTYPES, KINDS, OBJECTS, Variable
+from .variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 
 Context = Mapping[str, Mapping[str, Any]]
 
@@ -41,6 +41,7 @@ class System:
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
         self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
+        self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
         self._folder = Scratch()
         try:
             self._instantiate()
@@ -91,6 +92,22 @@ class System:
                 raise MemberFailed(member, member.not_finite())
         return notes
 
+    def calculated(self) -> dict[str, dict[str, Any]]:
+        """{component: {parameter: value}} of the parameters that FMUs calculate themselves, once initialized.
+
+        Raises MemberFailed.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        for member in self.members:
+            values: dict[str, Any] = {}
+            for variable in member.part.fmu.variables.values():
+                if variable.causality == "calculatedParameter" and not variable.element and variable.kind in NUMBERS:
+                    with failing(member):
+                        values |= member.instance.values(variable)
+            if values:
+                found[member.part.name] = values
+        return found
+
     def _instantiate(self) -> None:
         libraries: dict[Path, Library] = {}
         folders: dict[Path, Path] = {}
@@ -129,13 +146,15 @@ class System:
     def _wire(self) -> None:
         plan = self.plan
         links = {(k.sink, k.input.name): k for k in plan.links}
-        read = {(k.source, k.output.name): k.output for k in plan.links} | {(c, v.name): v for c, v in plan.recorded}
+        read = {(k.source, k.output.name): k.output for k in plan.links} | {
+            (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
+        }
         fmus = {part.name: part.fmu for part in plan.parts}
         outputs = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality != "input"))
         # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
         driven = _Ports(fmus, ((k.sink, k.input) for k in plan.links))
         held = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality == "input"), besides=driven)
-        place: dict[tuple[str, str], int] = {}
+        place = self.places
 
         def reserve(part: Part, ports: _Ports) -> None:
             for kind in KINDS:

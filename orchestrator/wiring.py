@@ -18,6 +18,7 @@ from . import build, builtin, metrics
 from .errors import ExperimentError, FmuError, Problem, did_you_mean
 from .experiment import Component, Connection, Experiment
 from .fmu import Fmu, read
+from .mavlink import settings as mavlink
 from .plan import Link, Part, Plan
 from .units import conversion
 from .values import flatten
@@ -54,6 +55,7 @@ class _Resolver:
             self.unconnected(part, driven[part.name])
         recorded = self.recorded()
         self.check_metrics(recorded)
+        self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(parts))
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
         now = datetime.datetime.now(datetime.UTC).isoformat() if any(part.live for part in parts) else ""

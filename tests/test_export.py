@@ -307,7 +307,7 @@ def test_the_name_of_the_file_says_the_format(orch, mixed, tmp_path):
     assert (tmp_path / "new" / "a.csv").read_text(encoding="utf-8-sig").startswith("time [s],one.y")
     answer = orch("export", mixed.path, "-o", "a.txt")
     assert answer.code == 2
-    assert "say which format: --format csv, parquet, mat, netcdf or mcap" in answer.err
+    assert "say which format: --format csv, parquet, mat, netcdf, mcap or tlog" in answer.err
 
 
 @pytest.mark.parametrize("form", LIBRARIES)

@@ -13,8 +13,8 @@ EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is aske
 
 @click.command()
 @click.argument("run", metavar="RUN|EXPERIMENT.toml")
-@click.option("--format", "form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "ssp"]),
-              help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .ssp).")  # fmt: skip
+@click.option("--format", "form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
+              help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).")  # fmt: skip
 @click.option("--output", "-o", metavar="FILE", help="Default: beside the record; of an experiment NAME.ssp, here.")
 @changes_options
 @packaging_option
@@ -33,6 +33,7 @@ def export(
     mat      MATLAB: vehicle1.eta_x, and vectors such as vehicle1.eta, (N, 6); units.vehicle1.eta_x
     netcdf   xarray: variables vehicle1.eta.x over time, with units
     mcap     Foxglove: a channel a component, /vehicle1, and poses and tracks of vehicles
+    tlog     QGroundControl, MAVProxy, MAVExplorer: the telemetry of the vehicles as ArduSub
     ssp      of an EXPERIMENT: SSP 1.0, which libcosim, Ecos and orch run
     orch export experiments/spiral_pid.toml -o spiral.ssp
 
@@ -40,7 +41,8 @@ def export(
     MCAP counts simulated time from 0.  Its signals are as recorded, in NED and FRD; its poses are as Foxglove expects
     them: x east, y north, z up, and of a vehicle x forward, y left, z up.
 
-    All but csv need libraries: pip install "orch[export]".  Of a run that did not complete, its rows are written.
+    All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
+    its rows are written.
     """
     from .. import export as exporting
     from .. import show
@@ -56,7 +58,7 @@ def export(
     if sets or swaps or packaging != "auto":
         raise click.UsageError(f"--set, --swap and --packaging are for experiments, and {run} is a run")
     if form is None:
-        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf or mcap")
+        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf, mcap or tlog")
     with open_run(run, results) as record:
         target = Path(output) if output else record.path.with_suffix(exporting.FORMATS[form].suffix)
         exporting.export(record, form, target)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,6 +13,8 @@ from ..options import (
     INTERRUPTED,
     changes_options,
     json_option,
+    live_of,
+    live_options,
     packaging_option,
     prepared,
     results_option,
@@ -20,17 +23,24 @@ from ..options import (
 )
 
 
-@click.command()
-@click.argument("experiment", metavar="EXPERIMENT.toml")
+@click.command(epilog="""\b
+Examples:
+  orch run experiments/gripping_currents.toml
+  orch run experiments/spiral_pid.toml --set master.stop_time=10 --swap controller=mfsosmc
+  orch run experiments/gripping_currents.toml --realtime --mavlink udpout:127.0.0.1:14550
+  orch run experiments/gripping_currents.toml --realtime 2 --mavlink 1=tcpin:127.0.0.1:5760
+""")
+@click.argument("experiment", metavar="EXPERIMENT.toml", required=False)
 @changes_options
 @packaging_option
 @click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
 @results_option
 @click.option("--force", is_flag=True, help="Run again although the record is there.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@live_options
 @json_option
 def run(
-    experiment: str,
+    experiment: str | None,
     sets: tuple[str, ...],
     swaps: tuple[str, ...],
     packaging: str,
@@ -39,6 +49,7 @@ def run(
     force: bool,
     quiet: bool,
     as_json: bool,
+    **live: Any,
 ) -> int:
     """Run an experiment, or a SYSTEM.ssp, and record it."""
     from .. import show
@@ -46,15 +57,21 @@ def run(
     from ..runner import execute
 
     told = silent if quiet or as_json else tell
+    experiment, asked = live_of(experiment, **live)
     try:
         plan = prepared(experiment, sets, swaps, told, packaging)
         for note in plan.notes:
             told(f"note: {note}")
         progress = Progress(plan)
-        try:
-            result = execute(plan, output, results, force, [] if quiet or as_json else [progress])
-        finally:
-            progress.done()
+        with asked.tied(plan) as ties:
+            try:
+                observers = [*([] if quiet or as_json else [progress]), *ties.observers]
+                again = force or bool(ties.observers)
+                result = execute(ties.plan, output, results, again, observers, ties.context)
+            finally:
+                progress.done()
+        for note in asked.notes:
+            told(f"note: {note}")
     except OrchError as error:
         if as_json:
             click.echo(json.dumps(show.not_started(error)))
@@ -65,9 +82,11 @@ def run(
         click.echo(show.result(result, plan))
     for warning in result.warnings:
         told(f"warning: {warning}")
+    if result.status != "completed":
+        click.echo(f"{result.file}: {result.error}", err=True)
+    asked.finish(result.file)
     if result.status == "completed":
         return 0
-    click.echo(f"{result.file}: {result.error}", err=True)
     return 3 if result.status == "failed" else INTERRUPTED
 
 

@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; needs: what its module, as_<name>, imports beside orch's own dependencies."""
+    """suffix: of its files; needs: what its module, as_<name>, imports beside orch's own dependencies; extra: which
+    brings them."""
 
     suffix: str
     needs: tuple[str, ...] = ()
+    extra: str = "export"
 
 
 FORMATS = {
@@ -34,6 +36,7 @@ FORMATS = {
     "mat": Format(".mat", ("scipy",)),
     "netcdf": Format(".nc", ("xarray", "h5netcdf")),
     "mcap": Format(".mcap", ("mcap",)),
+    "tlog": Format(".tlog", ("pymavlink",), "mavlink"),
 }
 
 
@@ -51,7 +54,8 @@ def export(run: Run, form: str, target: Path) -> Path:
     missing = [library for library in FORMATS[form].needs if not _is_there(library)]
     if missing:
         libraries = " and ".join(missing)
-        raise OrchError(f'--format {form} needs {libraries}, not installed here: pip install "orch[export]"')
+        remedy = f'pip install "orch[{FORMATS[form].extra}]"'
+        raise OrchError(f"--format {form} needs {libraries}, not installed here: {remedy}")
     if target.resolve() == run.path.resolve():
         raise StoreError(f"{target} is the record itself; write to another file")
     if not len(run.time):

@@ -1,0 +1,52 @@
+"""Which vehicle a component steers, and what it needs to know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..plan import Part, Plan
+from .control import Control
+from .frame import PWM_MAPS
+from .settings import vehicles_of
+from .view import frame_of
+
+MANUAL, ARDUPILOT = "mavlink_manual", "ardupilot_json"
+
+
+def context_of(plan: Plan) -> dict[str, dict[str, Any]]:
+    """{component: its context}: of `mavlink_manual` a Control, of `ardupilot_json` the vehicle's frame.
+
+    Raises OrchError where the vehicle's thrusters are none that ArduSub knows.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for part in plan.parts:
+        if part.live and part.fmu_name == MANUAL:
+            found[part.name] = {"control": Control()}
+        elif part.live and part.fmu_name == ARDUPILOT and (vehicle := vehicle_of(plan, part)):
+            frame, _ = frame_of(plan, vehicle, plan.experiment.mavlink.get("pwm_map", PWM_MAPS[0]))
+            found[part.name] = {"frame": frame}
+    return found
+
+
+def controls_of(plan: Plan, context: Mapping[str, Mapping[str, Any]]) -> dict[str, Control]:
+    """{vehicle: where its steering goes}."""
+    parts = {part.name: part for part in plan.parts}
+    found = {}
+    for name, its in context.items():
+        if "control" in its and (vehicle := vehicle_of(plan, parts[name])):
+            found[vehicle.name] = its["control"]
+    return found
+
+
+def unheard(plan: Plan) -> list[str]:
+    """What to say of components that nobody can steer, in a run without --mavlink."""
+    names = [part.name for part in plan.parts if part.live and part.fmu_name == MANUAL]
+    return [f"nobody steers {name!r}: give --mavlink ENDPOINT" for name in names]
+
+
+def vehicle_of(plan: Plan, part: Part) -> Part | None:
+    """The vehicle whose `eta` a component is given."""
+    vehicles = vehicles_of(plan.parts)
+    sources = [link.source for link in plan.links if link.sink == part.name and link.input.name.startswith("eta.")]
+    return next((other for other in plan.parts if other.name in sources and other.name in vehicles), None)

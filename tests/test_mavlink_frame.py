@@ -1,0 +1,110 @@
+"""Thrusters in ArduSub's numbering: from the columns of the vehicle's matrix, and what PWM means."""
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestrator.errors import OrchError
+from orchestrator.mavlink.frame import FACTORS, Frame, t200_pwm, t200_thrust
+from orchestrator.mavlink.manual import MavlinkManual
+from orchestrator.mavlink.sample import rotation, to_earth, to_ned
+
+c = s = math.sqrt(0.5)
+SHIPPED = np.array(
+    [
+        [c, c, -c, -c, 0, 0],
+        [s, -s, s, -s, 0, 0],
+        [0, 0, 0, 0, -1, -1],
+        [0, 0, 0, 0, 0.115, -0.115],
+        [0, 0, 0, 0, 0, 0],
+        [0.3536, -0.3536, -0.3536, 0.3536, 0, 0],
+    ]
+)
+
+
+def test_the_shipped_matrix_is_ardusubs_frame_with_every_thruster_turned_round():
+    frame = Frame(SHIPPED)
+    assert frame.motors == [1, 0, 3, 2, 5, 4]
+    assert frame.signs == [-1] * 6
+    assert frame.pwm(np.array([1, 0.5, 0, -0.25, -1, 2])) == [1300, 1100, 1600, 1500, 1100, 1900]
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("directions", [(1,) * 6, (1, -1, 1, -1, -1, 1)])
+def test_forces_through_ardusubs_mixer_are_those_of_the_vehicle(axis, directions):
+    """The sum of deflections times ArduSub's factors has the sign of the force, or there is none on that axis."""
+    random = np.random.default_rng(axis)
+    frame = Frame(SHIPPED)
+    for u in random.uniform(-1, 1, (20, 6)):
+        deflections = (np.array(frame.pwm(u, directions)) - 1500) / 400 * directions
+        force = SHIPPED[axis] @ u
+        scale = np.abs(SHIPPED[axis]).max()
+        # Rounding to microseconds: six of 0.5 / 400 each.
+        assert FACTORS[:, axis] @ deflections * scale == pytest.approx(force, abs=0.01)
+
+
+@pytest.mark.parametrize("pwm_map", ["linear", "t200_16V"])
+def test_commands_survive_the_way_to_pwm_and_back(pwm_map):
+    frame = Frame(SHIPPED, 39.0, pwm_map)
+    u = np.array([0.9, -0.9, 0.3, -0.2, 0.0, 1.0])
+    assert frame.u(frame.pwm(u)) == pytest.approx(u, abs=0.01)  # a microsecond is up to 0.4 N
+    assert frame.u([0] * 6) == pytest.approx(np.zeros(6))
+
+
+def test_any_order_and_sense_of_thrusters_is_recognized():
+    order, turned = [3, 5, 0, 1, 4, 2], np.array([1, -1, 1, 1, -1, -1])
+    frame = Frame((FACTORS[order] * turned[:, None]).T * np.array([[3], [2], [1], [0.1], [1], [0.5]]))
+    assert frame.motors == order
+    assert frame.signs == turned.tolist()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.vstack([SHIPPED[:5], 0.3 * SHIPPED[1:2]]), "thruster 3"),  # Eq. 4.10: yaw proportional to sway
+        (SHIPPED[:, :5], "6 x 5"),
+        (np.zeros((6, 6)), "no force"),
+        (SHIPPED[:, [0, 0, 2, 3, 4, 5]], "thruster 2"),
+    ],
+)
+def test_a_matrix_that_is_no_vectored_frame_is_refused_with_a_sentence(matrix, words):
+    with pytest.raises(OrchError, match=words):
+        Frame(matrix)
+
+
+def test_the_t200_has_a_dead_band_and_pushes_better_forward():
+    assert t200_thrust(1500) == t200_thrust(1528) == t200_thrust(1472) == 0
+    assert t200_thrust(1900) == pytest.approx(51.4)
+    assert t200_thrust(1100) == pytest.approx(-39.9)
+    assert t200_pwm(0.01) > 1528
+    assert t200_pwm(-0.01) < 1472
+    assert t200_pwm(99) == 1900
+    straight = max(51.4 * (pwm - 1500) / 400 - t200_thrust(pwm) for pwm in range(1500, 1901))
+    assert straight == pytest.approx(12.2, abs=0.5)  # N; the manufacturer's data
+
+
+def test_places_go_to_earth_and_back():
+    origin = (44.65, -124.05)
+    latitude, longitude = to_earth(origin, 12.5, -7.25)
+    assert to_ned(origin, latitude / 1e7, longitude / 1e7) == pytest.approx((12.5, -7.25), abs=0.02)
+    assert to_earth((0.0, 179.9999), 0.0, 50.0)[1] < 0  # beyond the date line
+
+
+def test_the_rotation_turns_body_axes_into_ned():
+    assert rotation(0, 0, math.pi / 2) @ [1, 0, 0] == pytest.approx([0, 1, 0])
+    assert rotation(0, math.pi / 2, 0) @ [1, 0, 0] == pytest.approx([0, 0, -1])
+    assert rotation(math.pi / 2, 0, 0) @ [0, 1, 0] == pytest.approx([0, 0, 1])
+    R = rotation(0.3, -0.4, 1.1)
+    assert pytest.approx(rotation(0, 0, 1.1) @ rotation(0, -0.4, 0) @ rotation(0.3, 0, 0)) == R
+    assert pytest.approx(np.eye(3)) == R.T @ R
+
+
+def test_the_declared_variables_of_the_components_are_consistent():
+    variables = MavlinkManual.variables()
+    assert [v.reference for v in variables] == list(range(len(variables)))
+    component = MavlinkManual("manual", {}, {})
+    outputs = [v for v in variables if v.causality == "output"]
+    assert len(component.start(np.arange(6.0))) == len(outputs)
+    with pytest.raises(OrchError, match=r"components\.manual\.parameters\.lag"):
+        MavlinkManual("manual", {"lag": 0.0}, {})

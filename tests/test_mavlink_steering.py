@@ -1,0 +1,337 @@
+"""Steering from outside: a joystick, set points, and ArduPilot's own software, as components."""
+
+import math
+import socket
+import subprocess
+import threading
+import time
+
+import h5py
+import numpy as np
+import pytest
+from conftest import ORCH, merged
+from fake_ardupilot import PACKET, FakeArdupilot, hover, parsed
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from station import Station, free_port
+
+from orchestrator.errors import OrchError
+from orchestrator.mavlink import steering
+from orchestrator.mavlink.ardupilot import ArdupilotJson, reply
+from orchestrator.mavlink.autopilot import MODES, Autopilot
+from orchestrator.mavlink.control import Control, SetPoint, Stick
+from orchestrator.mavlink.manual import MavlinkManual
+from orchestrator.mavlink.parameters import Parameters
+from orchestrator.mavlink.sample import Sample
+
+H = 0.01
+
+
+@pytest.fixture
+def control():
+    return Control()
+
+
+@pytest.fixture
+def autopilot(control):
+    """A vehicle at (1, 2, 3), heading east."""
+    found = Autopilot(1, "vehicle", Parameters(1, {}, {}), (44.65, -124.05), control=control, mode=MODES["POSHOLD"])
+    eta = np.array([1.0, 2.0, 3.0, 0.0, 0.0, math.pi / 2])
+    found.show(Sample(0.0, eta, np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(6), found.origin))
+    return found
+
+
+def tell(autopilot, text):
+    """Nobody listens."""
+
+
+def follow(component, eta, seconds):
+    """Outputs (N, 24) of steps."""
+    return np.array([component.step(k * H, H, eta, component.listen(k * H, eta)) for k in range(round(seconds / H))])
+
+
+def manual_control(x=0, y=0, z=500, r=0, buttons=0):
+    return mavlink.MAVLink_manual_control_message(1, x, y, z, r, buttons)
+
+
+def test_a_joystick_moves_the_reference_as_the_vehicle_points(control, autopilot):
+    component = MavlinkManual("manual", {}, {"control": control})
+    eta = np.array([1.0, 2.0, 3.0, 0.1, 0.1, math.pi / 2])
+    assert component.start(eta)[:6] == pytest.approx([1, 2, 3, 0, 0, math.pi / 2])
+    steering.Pilot(autopilot).manual_control(manual_control(x=1000, z=1000), time.monotonic(), tell)
+    path = follow(component, eta, 2.0)
+    # Surge is east; with ArduSub's gain of 0.5 half of 1 m/s, and half of 0.5 m/s up.
+    assert path[-1][:3] == pytest.approx([1, 2 + 0.5 * (2 - 0.5), 3 - 0.25 * (2 - 0.5)], abs=0.03)
+    assert path[-1][18:24] == pytest.approx([0.5, 0, -0.25, 0, 0, 0], abs=0.02)
+
+
+def test_the_reference_is_smooth_and_its_derivatives_are_its_own(control):
+    component = MavlinkManual("manual", {}, {"control": control})
+    component.start(np.zeros(6))
+    control.stick = Stick(1.0, -0.5, 0.3, 0.7, time.monotonic())
+    path = follow(component, np.zeros(6), 3.0)
+    place, rate, change = path[:, :6], path[:, 6:12], path[:, 12:18]
+    assert np.diff(place, axis=0) / H == pytest.approx((rate[1:] + rate[:-1]) / 2, abs=1e-9)
+    assert np.diff(rate, axis=0) / H == pytest.approx(change[1:], abs=1e-9)
+    assert np.abs(np.diff(rate, axis=0)).max() < 0.05
+
+
+def test_silence_stops_the_reference_after_ardusubs_timeout(control, autopilot):
+    component = MavlinkManual("manual", {}, {"control": control})
+    component.start(np.zeros(6))
+    pilot = steering.Pilot(autopilot)
+    autopilot.parameters.set("FS_PILOT_TIMEOUT", 0.5)
+    pilot.manual_control(manual_control(x=500), time.monotonic() - 1.0, tell)
+    assert control.demands() == (0, 0, 0, 0)
+    pilot.manual_control(manual_control(x=500), time.monotonic(), tell)
+    assert control.demands()[0] == pytest.approx(0.25)
+    control.armed = False
+    assert control.demands() == (0, 0, 0, 0)
+
+
+def test_axes_beyond_their_range_and_buttons_do_what_ardusub_does(control, autopilot):
+    pilot, now = steering.Pilot(autopilot), time.monotonic()
+    pilot.manual_control(manual_control(x=32767, y=-32768, z=-5, r=2000), now, tell)
+    assert control.demands() == (0, 0, 0, 0)
+    pilot.manual_control(manual_control(buttons=1 << 3), now, tell)  # BTN3: depth hold
+    assert autopilot.mode == MODES["ALT_HOLD"]
+    pilot.manual_control(manual_control(buttons=1 << 3 | 1 << 2), now, tell)  # BTN2: POSHOLD; BTN3 is still down
+    assert autopilot.mode == MODES["POSHOLD"]
+    pilot.manual_control(manual_control(x=1000, buttons=1 << 11), now, tell)  # BTN11: more gain
+    assert control.demands()[0] == pytest.approx(0.75)
+    pilot.manual_control(manual_control(buttons=1 << 4), now, tell)
+    assert not control.armed
+
+
+def test_channel_overrides_move_it_too(control, autopilot):
+    fields = [1500] * 8
+    fields[4], fields[2] = 1700, 1300
+    steering.Pilot(autopilot).channels(mavlink.MAVLink_rc_channels_override_message(1, 1, *fields), time.monotonic())
+    assert control.demands() == pytest.approx((0.5, 0, 0.5, 0))
+    assert control.channels()[:6] == [1500, 1500, 1300, 1500, 1700, 1500]
+
+
+@pytest.mark.parametrize(
+    ("frame", "mask", "point", "expected"),
+    [
+        (1, 0x0DF8, (4, 5, 6), (4, 5, 6)),
+        (7, 0x0DF8, (4, 5, 6), (5, 7, 9)),
+        (9, 0x0DF8, (4, 5, 6), (1 - 5, 2 + 4, 9)),  # ahead is east
+        (1, 0x0DF8 | 4, (4, 5, 6), (4, 5, None)),
+    ],
+)
+def test_set_points_count_in_mode_guided_in_every_frame(control, autopilot, frame, mask, point, expected):
+    still = [0] * 8
+    message = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *point, *still)
+    steering.set_point(autopilot, message, 0.0)
+    assert control.set_point is None
+    autopilot.mode, control.guided = MODES["GUIDED"], True
+    steering.set_point(autopilot, message, 0.0)
+    assert control.target().position == pytest.approx(expected)
+
+
+def test_a_set_point_is_reached_without_overshoot_within_the_limits(control):
+    component = MavlinkManual("manual", {"lag": 0.4}, {"control": control})
+    component.start(np.zeros(6))
+    control.guided = True
+    control.set_point = SetPoint((4.0, -3.0, 1.0), yaw=math.radians(-170))
+    path = follow(component, np.zeros(6), 25.0)
+    assert path[-1][:3] == pytest.approx([4, -3, 1], abs=0.01)
+    assert path[-1][5] == pytest.approx(math.radians(-170), abs=0.01)
+    assert path[:, 0].max() <= 4.0 + 1e-3
+    assert path[:, 1].min() >= -3.0 - 1e-3
+    assert np.hypot(path[:, 6], path[:, 7]).max() <= 1.0 + 1e-6
+    assert np.abs(path[:, 8]).max() <= 0.5 + 1e-6
+
+
+# --- Whole runs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def steered(spiral):
+    """The spiral's vehicle and controller, with a pilot in place of the reference."""
+    table = merged(spiral, {"components.reference": None, "metrics": {}, "master.stop_time": 3.0})
+    pilot = {"builtin": "mavlink_manual", "step": 0.02}
+    table["components"] = {"controller": table["components"].pop("controller"), **table["components"], "pilot": pilot}
+    table["connections"]["pilot.eta"] = "vehicle.eta"
+    for name in ("eta_d", "eta_d_dot", "eta_d_ddot"):
+        table["connections"][f"controller.{name}"] = f"pilot.{name}"
+    return table
+
+
+def datasets(path):
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
+def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(orch, steered, write, tmp_path):
+    port = free_port()
+    command = [ORCH, "run", str(write(steered)), "--realtime", "--quiet", "--output", "run.h5",
+               "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    station = Station.udpout(port)
+    while not station.receive(0.1) and process.poll() is None:
+        station.heartbeat()
+    stranger = Station.udpout(port, system=254)
+    while process.poll() is None:
+        station.send(manual_control(x=1000, r=-300))
+        stranger.send(manual_control(x=-1000, z=0))  # is not the configured ground station
+        station.listen(0.05)
+    assert process.wait() == 0, process.stderr.read()
+    run = datasets(tmp_path / "run.h5")
+    forward = np.hypot(run["vehicle/eta.x"] - 2.0, run["vehicle/eta.y"] + 1.0)
+    assert forward[-1] > 0.3
+    assert run["vehicle/eta.psi"][-1] < -0.1
+    assert run["pilot/nu_d.u"].max() == pytest.approx(0.5, abs=0.05)
+    assert run["pilot/nu_d.w"].max() == 0
+    channels = [m.chan5_raw for m in station.messages if m.get_type() == "RC_CHANNELS"]
+    assert max(channels) == 1700
+    assert orch("rerun", "run.h5", "--verify").code == 0
+    station.close()
+    stranger.close()
+
+
+@pytest.mark.slow
+def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_path):
+    port = free_port()
+    command = [ORCH, "run", str(write(merged(steered, {"master.stop_time": 9.0}))), "--realtime", "3", "--quiet",
+               "--output", "run.h5", "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path)
+    station = Station.udpout(port)
+    while not station.receive(0.1) and process.poll() is None:
+        station.heartbeat()
+    assert station.command(176, 1, MODES["GUIDED"]) == 0
+    still = [0] * 8
+    station.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, 2.5, -1.2, 1.3, *still))
+    station.listen(2.0)
+    assert station.command(400, 0) == 0
+    station.expect("HEARTBEAT", lambda m: not m.base_mode & 128, seconds=0.5)
+    assert process.wait(timeout=30) == 0
+    run = datasets(tmp_path / "run.h5")
+    assert [run[f"pilot/eta_d.{axis}"][-1] for axis in "xyz"] == pytest.approx([2.5, -1.2, 1.3], abs=0.05)
+    assert [run[f"vehicle/eta.{axis}"][-1] for axis in "xyz"] == pytest.approx([2.5, -1.2, 1.3], abs=0.3)
+    station.close()
+
+
+def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_path):
+    port, h = free_port(), 0.0025
+    ardusub = {"builtin": "ardupilot_json", "parameters": {"port": port}}
+    connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
+    table = {
+        "master": {"stop_time": 4.0, "step": h},
+        "components": {"ardusub": ardusub, "vehicle": spiral["components"]["vehicle"]},
+        "connections": {**connections, "vehicle.u": "ardusub.u"},
+    }
+    table["components"]["vehicle"]["start"] = "fmu"
+    pilot = FakeArdupilot(port, hover(1.4, 0.4))
+    thread = threading.Thread(target=pilot.fly, args=(3000,), daemon=True)
+    thread.start()
+    answer = orch("run", write(table), "--output", "run.h5")
+    assert answer.code == 0, answer.err
+    run = datasets(tmp_path / "run.h5")
+    assert run["vehicle/eta.z"][-1] == pytest.approx(1.4, abs=0.1)
+    assert run["vehicle/eta.psi"][-1] == pytest.approx(0.4, abs=0.1)
+    assert np.diff([state["timestamp"] for state in pilot.states]) == pytest.approx(h)
+    assert pilot.states[0]["imu"]["accel_body"][2] == pytest.approx(-9.81, abs=1.0)
+    assert orch("rerun", "run.h5", "--verify").code == 0  # without ArduPilot
+
+
+def test_a_pilot_without_a_bridge_is_told(orch, steered, write):
+    answer = orch("run", write(merged(steered, {"master.stop_time": 0.1})), "--output", "run.h5")
+    assert answer.code == 0
+    assert "nobody steers 'pilot'" in answer.err
+
+
+# --- ArduPilot ------------------------------------------------------------------------------------------------------
+
+
+def fly(component, seconds, h=0.0025):
+    """A body of 10 kg and no drag but for heave and yaw; returns eta over time."""
+    eta, nu, path = np.array([0, 0, 1.0, 0, 0, 0.3]), np.zeros(6), []
+    u = component.start(np.zeros(15))
+    for k in range(round(seconds / h)):
+        inputs = np.array([*eta, *nu, 0, 0, -9.81])
+        u = component.step(k * h, h, inputs, component.listen(k * h, inputs))
+        heave, yaw = -40 * (u[4] + u[5]), 14 * (u[0] - u[1] - u[2] + u[3])
+        nu = nu + h * np.array([0, 0, (heave - 20 * nu[2]) / 25, 0, 0, (yaw - nu[5]) / 0.3])
+        eta = eta + h * nu
+        path.append(eta)
+    return np.array(path)
+
+
+def test_ardupilot_flies_two_vehicles_in_lock_step():
+    ports = [free_port(), free_port()]
+    components = [ArdupilotJson(f"ardusub{n}", {"port": float(port)}, {}) for n, port in enumerate(ports, 1)]
+    pilots = [FakeArdupilot(ports[0], hover(2.0, -0.2)), FakeArdupilot(ports[1], hover(0.5, 1.0))]
+    paths = {}
+    threads = [threading.Thread(target=pilot.fly, args=(2400,), kwargs={"resend": True}) for pilot in pilots]
+    threads += [threading.Thread(target=lambda n=n: paths.update({n: fly(components[n], 5.0)})) for n in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads[2:]:
+        thread.join(timeout=60)
+    for component in components:
+        component.close()
+    assert paths[0][-1][[2, 5]] == pytest.approx([2.0, -0.2], abs=0.05)
+    assert paths[1][-1][[2, 5]] == pytest.approx([0.5, 1.0], abs=0.05)
+    for pilot in pilots:
+        times = [state["timestamp"] for state in pilot.states]
+        assert np.diff(times) == pytest.approx(0.0025)  # one packet a step, none lost, none twice
+
+
+def test_junk_at_the_port_is_ignored_and_an_output_not_in_use_rests():
+    component = ArdupilotJson("ardusub", {"port": float(port := free_port())}, {})
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    for data in (b"", b"x", b"\x1a\x48", PACKET.pack(1, 400, 1, *[1900] * 16)):
+        sender.sendto(data, ("127.0.0.1", port))
+    sender.sendto(PACKET.pack(18458, 400, 1, 1900, 1100, *[0] * 14), ("127.0.0.1", port))
+    heard = component.listen(0.0, np.zeros(15))
+    u = component.step(0.0, 0.0025, np.zeros(15), heard)
+    assert u == pytest.approx([1, -1, 0, 0, 0, 0])  # T1 = -M2, T2 = -M1
+    component.close()
+    sender.close()
+
+
+def test_a_packet_that_comes_again_gets_the_same_answer_and_no_step():
+    component = ArdupilotJson("ardusub", {"port": float(port := free_port())}, {})
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sender.settimeout(5)
+
+    def send(count):
+        sender.sendto(PACKET.pack(18458, 400, count, *[1500 + count] * 16), ("127.0.0.1", port))
+
+    send(1)
+    assert component.listen(0.0, np.zeros(15))[0] == 1501
+    heard = []
+    thread = threading.Thread(target=lambda: heard.append(component.listen(0.0025, np.ones(15))))
+    thread.start()
+    answer = sender.recv(1 << 16)
+    send(1)
+    assert sender.recv(1 << 16) == answer
+    assert not heard
+    send(2)
+    thread.join(timeout=10)
+    assert heard[0][0] == 1502
+    component.close()
+    sender.close()
+
+
+def test_the_reply_is_what_ardupilots_parser_wants():
+    state = parsed(reply(1.25, np.array([1, 2, 3, 0.1, 0.2, 7.0, 0.5, 0, 0, 0.01, 0.02, 0.03, 1e-7, 0.2, -9.81])))
+    assert state["timestamp"] == 1.25
+    assert state["position"] == [1, 2, 3]
+    assert state["attitude"][2] == pytest.approx(7.0 - 2 * math.pi)
+    assert state["imu"]["accel_body"][2] == -9.81
+    assert np.hypot(*state["velocity"][:2]) == pytest.approx(0.5 * math.cos(0.2))
+
+
+def test_a_port_that_is_taken_and_an_ardupilot_that_is_silent_are_said():
+    component = ArdupilotJson("ardusub", {"port": float(port := free_port()), "patience": 0.2}, {})
+    with pytest.raises(OrchError, match=rf"components\.ardusub2\.parameters\.port: {port} cannot be had"):
+        ArdupilotJson("ardusub2", {"port": port}, {})
+    with pytest.raises(OrchError, match="no packet of ArduPilot"):
+        component.listen(0.0, np.zeros(15))
+    with pytest.raises(OrchError, match=r"components\.ardusub\.step"):
+        component.step(0.0, 0.1, np.zeros(15), np.zeros(6))
+    component.close()
