@@ -1,4 +1,4 @@
-"""New attributes of HDF5 files, in a third of the time that h5py takes: a record has hundreds of them."""
+"""New datasets and attributes of HDF5 files, in a third of the time that h5py takes: a record has hundreds."""
 
 from __future__ import annotations
 
@@ -7,11 +7,27 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5s, h5t
+from h5py import h5a, h5d, h5s, h5t
 
 TEXT = h5py.string_dtype()
 _STORED, _MEMORY = h5t.py_create(TEXT, logical=True), h5t.py_create(TEXT)
 _SCALAR = h5s.create(h5s.SCALAR)
+
+
+_made: dict[tuple[Any, ...], tuple[Any, Any]] = {}  # types and property lists, by what was asked for
+
+
+def create(group: Any, name: str, shape: tuple[int, ...], maxshape: tuple[int, ...], dtype: Any, **options: Any) -> Any:
+    """What `group.create_dataset` does, with what it made of the same type and options before."""
+    key = (np.dtype(dtype).str, *sorted(options.items()))
+    if key in _made and "/" not in name:
+        kind, properties = _made[key]
+        space = h5s.create_simple(shape, maxshape)
+        return h5py.Dataset(h5d.create(group.id, name.encode(), kind, space, properties))
+    dataset = group.create_dataset(name, shape=shape, maxshape=maxshape, dtype=dtype, **options)
+    if np.dtype(dtype).kind != "O":
+        _made[key] = dataset.id.get_type(), dataset.id.get_create_plist()
+    return dataset
 
 
 def describe(item: Any, attributes: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ import h5py
 import numpy as np
 
 from .errors import StoreError
-from .hdf5 import attach, describe
+from .hdf5 import attach, create, describe
 from .loop import Block
 from .master import Outcome
 from .metrics import finite
@@ -291,8 +291,8 @@ def _dataset(group: Any, name: str, dtype: Any, rows: int, shape: tuple[int, ...
     Bounded, for h5netcdf looks through all signals to learn the length of an unlimited dimension: minutes for 500.
     """
     chunk = max(1, min(rows, CHUNK_ROWS // max(1, math.prod(shape))))
-    return group.create_dataset(
-        name, shape=(0, *shape), maxshape=(rows, *shape), dtype=dtype, chunks=(chunk, *shape),
+    return create(
+        group, name, shape=(0, *shape), maxshape=(rows, *shape), dtype=dtype, chunks=(chunk, *shape),
         fletcher32=h5py.check_string_dtype(dtype) is None, track_order=True,
     )  # fmt: skip
 

@@ -125,7 +125,7 @@ class Rows:
     @property
     def time(self) -> Any:
         if "" not in self._joined:
-            self._joined[""] = np.array([self._grid.time(tick) for tick in self._ticks])
+            self._joined[""] = self._grid.times(0, self._ticks[-1] + 1)[self._ticks] if self._ticks else np.empty(0)
         return self._joined[""]
 
     def __getitem__(self, name: str) -> Any:
