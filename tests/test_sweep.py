@@ -318,9 +318,8 @@ def test_a_cluster_started_by_hand_gives_the_same_table(orch, sweep, write, tmp_
         by_url = orch("sweep", path, "--results", (tmp_path / "url").as_uri(), "--scheduler", address)
         assert by_url.code == 0, by_url.err
     finally:
-        for process in processes[::-1]:
-            process.terminate()
         for process in processes:
+            process.kill()
             process.wait(DEADLINE)
         log.close()
     assert table_of(tmp_path / "there") == table_of(tmp_path / "url") == table_of(tmp_path / "here")
