@@ -52,6 +52,7 @@ fmu = "bluerov2_allocation"
 fmu = "bluerov2_thesis"
 parameters = { eta_0 = [0, 0, 1, 0, 0, 0.5] }
 start = { v_c = [0.1, 0, 0] }
+isolation = "none"
 [components.reference]
 fmu = "spiral_reference"
 start = "fmu"
@@ -67,7 +68,7 @@ start = "fmu"
 "controller.eta_d_dot.psi" = "reference.eta_d_dot.psi"
 "controller.eta_d_ddot" = "reference.eta_d_ddot"
 "allocation.tau" = "controller.tau"
-"vehicle.u" = "allocation.u"
+"vehicle.u" = { from = "allocation.u", gain = 1.0, offset = 0.0, unit_check = true }
 [record]
 every = 0.005
 signals = ["vehicle*", "controller.*", "!*.nu.*"]
@@ -85,6 +86,7 @@ origin = { lat = 44.65, lon = -124.05 }
 draws = 3
 [sweep.vary]
 "components.controller.fmu" = ["pid", "nstsmc"]
+"components.vehicle.parameters.m" = { distribution = "uniform", low = 10.0, high = 12.0 }
 """
 
 TEXTS = ("", " ", "*", "!", "a", "\0", "é", "\U0001f419", "../../x.fmu", "/dev/zero", "/dev/zero.fmu", "a\nb", "{}",
