@@ -15,7 +15,7 @@ test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto
 
 fuzz: $(VENV)/.installed-dev
-	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py tests/test_fuzz.py
+	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py tests/test_fuzz.py tests/test_isolation.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
