@@ -128,6 +128,9 @@ class Live(Instance):
     def wants_to_end(self) -> bool:
         return False
 
+    def has_reached(self, end: float) -> bool:
+        return False
+
     def take_messages(self) -> list[str]:
         return []
 

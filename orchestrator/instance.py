@@ -8,6 +8,7 @@ import atexit
 import contextlib
 import ctypes
 import itertools
+import math
 import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +26,7 @@ from .variables import ACCESSORS, DTYPES, Variable
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal")
 CO_SIMULATION = 1  # fmi2Type
-TERMINATED = 3  # fmi2StatusKind
+LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 
 _ENVIRONMENTS = itertools.count(1)
 _MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of live instances, by environment
@@ -212,6 +213,13 @@ class Instance:
         if status > WARNING:
             return self.fmu.packaging == "python"
         return bool(ended.value)
+
+    def has_reached(self, end: float) -> bool:
+        """After a discarded step: whether it led to its end [s] all the same."""
+        reached = ctypes.c_double(math.nan)
+        status = self._function("GetRealStatus")(ctypes.c_void_p(self.component), LAST_SUCCESSFUL_TIME,
+                                                 ctypes.byref(reached))  # fmt: skip
+        return status <= WARNING and math.isclose(reached.value, end, rel_tol=1e-9)
 
     def close(self) -> None:
         """Terminate and free the instance; one that has failed is left alone, for freeing it may crash."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 from collections.abc import Callable, Mapping
 from functools import cache, partial
@@ -89,6 +90,9 @@ class Instance3(Instance):
 
     def wants_to_end(self) -> bool:
         return bool(self._answers[1])
+
+    def has_reached(self, end: float) -> bool:
+        return math.isclose(self._reached[0], end, rel_tol=1e-9)
 
     def _step(self, t: Any, h: float) -> int:
         answers = self._answers.ctypes.data

@@ -59,6 +59,12 @@ class Loop(Protocol):
         Raises MemberFailed; `ticks` then names the start of the failed step.
         """
 
+    def complete(self, first: int) -> None:
+        """Finish a tick in which the member number `first` has stepped, and nothing was done with that.
+
+        Raises MemberFailed.
+        """
+
     def take(self) -> list[Block]:
         """The rows since the last call."""
 
@@ -82,7 +88,43 @@ def extension() -> Any:
     return _loop
 
 
-class InterpretedLoop:
+class _Completing:
+    """How both loops finish a tick that a component ends the simulation with."""
+
+    ticks: int
+    _system: System
+    _rows: _Rows
+
+    def complete(self, first: int) -> None:
+        k, grid = self.ticks, self._system.plan.experiment.grid
+        for number, member in enumerate(self._system.members[first:], first):
+            if k % member.part.period:
+                continue
+            if number > first:
+                for gather in member.gathers:
+                    gather()
+                sets, _ = _calls(member)
+                calls: list[Action] = [*sets, partial(member.step, ctypes.c_double(grid.time(k)))]
+                for call in calls:
+                    _check(member, call())
+            for get in member.gets:  # of a batched one, too: its step has ended before it came to them
+                _check(member, get())
+            _check_finite(member)
+            for publish in member.publish[AT_ONCE]:
+                publish()
+        for member in self._system.members:
+            if k % member.part.period == 0:
+                for publish in member.publish[TICK_END]:
+                    publish()
+            if (k + 1) % member.part.period == 0:
+                for publish in member.publish[PERIOD_END]:
+                    publish()
+        self.ticks = k + 1
+        if self.ticks % self._system.plan.stride == 0:
+            self._rows.add(self.ticks)
+
+
+class InterpretedLoop(_Completing):
     name = "python"
 
     def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
@@ -148,7 +190,7 @@ class InterpretedLoop:
                 self._rows.add(self.ticks)
 
 
-class CompiledLoop:
+class CompiledLoop(_Completing):
     """Drives `_loop.c`."""
 
     name = "compiled"

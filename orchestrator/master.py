@@ -131,13 +131,18 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     steps, chunk, largest = system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
     try:
-        while loop.ticks < steps and not interrupt.is_set():
+        while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
             since = time.perf_counter()
             try:
                 last = min(steps, loop.ticks + chunk)
                 for watcher in watchers:
                     last = watcher.limit(loop.ticks, last)
                 loop.advance(last, CHUNK_SECONDS)
+            except MemberFailed as failure:
+                if not _ends_with_its_step(system, loop.ticks, failure):
+                    raise
+                loop.complete(system.members.index(failure.member))
+                outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
             finally:
                 outcome.ticks = loop.ticks
                 _hand_over(loop, observers)
@@ -151,9 +156,17 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
         for watcher in watchers:
             outcome.timing |= watcher.facts()
         outcome.warnings += alternations.warnings(loop.ticks)
-    if loop.ticks < steps:
+    if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
+
+
+def _ends_with_its_step(system: System, tick: int, failure: MemberFailed) -> bool:
+    """Whether an FMU asks to end the simulation at the end of the step that it was asked for."""
+    if failure.status != DISCARD or not failure.member.instance.wants_to_end():
+        return False
+    end = system.plan.experiment.grid.time(tick + failure.member.part.period)
+    return failure.member.instance.has_reached(end)
 
 
 def _hand_over(loop: Loop, observers: Sequence[Observer]) -> None:

@@ -153,6 +153,9 @@ class Remote(Instance):
     def wants_to_end(self) -> bool:
         return bool(self._request("instance", "wants_to_end"))
 
+    def has_reached(self, end: float) -> bool:
+        return bool(self._request("instance", "has_reached", end))
+
     def take_messages(self) -> list[str]:
         if self._lost or not self.healthy:
             return []

@@ -206,12 +206,20 @@ def test_an_fmu_that_fails_is_told_in_its_own_words(run, sponge, mode, words, lo
     assert record.time.tolist() == [0.0, 0.01, 0.02]
 
 
+@pytest.mark.parametrize("isolation", ["none", "process"])
 @pytest.mark.parametrize("loop", ["", "python"])
-def test_an_fmu_may_end_the_simulation(run, sponge, loop, monkeypatch):
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
+def test_an_fmu_may_end_the_simulation_with_a_step_which_is_kept(run, sponge, algorithm, loop, isolation, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
-    record = run(alone(sponge, mode=1))
+    table = merged(alone(sponge, mode=1), {"master.algorithm": algorithm, "components.one.isolation": isolation})
+    table["components"]["two"] = {"fmu": str(sponge), "start": "fmu"}
+    table["connections"] = {"two.Float64_in": "one.t"}
+    record = run(table)
     assert record.status == "completed"
-    assert record.attributes["stopped_at"] == 0.02
+    assert record.attributes["stopped_at"] == record.time[-1] == pytest.approx(0.03)
+    assert record["one.t"].tolist() == record["two.t"].tolist() == pytest.approx([0.0, 0.01, 0.02, 0.03])
+    late = [0.0, 0.0, 0.01, 0.02] if algorithm == "jacobi" else [0.0, 0.01, 0.02, 0.03]
+    assert record["two.Float64_out"].tolist() == pytest.approx(late)
 
 
 def test_the_fmu_s_variables_are_shown(orch, sponge):
