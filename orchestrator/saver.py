@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -53,8 +54,10 @@ def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
     experiment, problems, ticks = plan.experiment, [], set()
     grid, master = experiment.grid, experiment.master
     for time in times:
-        key, tick = f"--checkpoint-at {time:.10g}", grid.ticks(time)
-        if tick is None:
+        key = f"--checkpoint-at {time:.10g}"
+        if not math.isfinite(time):
+            problems.append(Problem(key, "is no time"))
+        elif (tick := grid.ticks(time)) is None:
             near = " or ".join(f"{t:.10g}" for t in grid.nearest(time))
             problems.append(Problem(key, f"is not a multiple of master.step = {master.step:g} s; try {near}"))
         elif tick <= plan.first:
