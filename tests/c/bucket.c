@@ -54,6 +54,7 @@ static int parse(Bucket *b, const char bytes[], size_t size, State **saved) {
 static int set(Bucket *b, State *saved) {
     if (!b->stepping) return ERROR;
     b->now = *saved;
+    b->now.real[Y] = -1.0; /* some FMUs compute their outputs anew only when they step */
     return OK;
 }
 
