@@ -129,6 +129,34 @@ def test_fmus_of_both_versions_go_on_within_the_process_and_in_one_of_their_own(
     assert len(set(whole["fast.y"].tolist())) == len(whole.time)
 
 
+def test_fmus_of_pythonfmu_go_on_where_they_say_that_they_can(orch, foreign, write, tmp_path):
+    able = tmp_path / "able.fmu"
+    with zipfile.ZipFile(foreign.north) as archive, zipfile.ZipFile(able, "w") as copy:
+        for name in archive.namelist():
+            content = archive.read(name)
+            if name == "modelDescription.xml":
+                for flag in ABLE.split():
+                    content = content.replace(flag.replace("true", "false").encode(), flag.encode())
+            copy.writestr(name, content)
+    table = merged(single(able), {"components.two": {"fmu": str(able), "start": "fmu", "isolation": "process"}})
+    whole, _, branch = halves(write(table), 0.03, tmp_path)
+    same_from(branch, whole, 0.03)
+    assert branch["one.s"][-1] == "nord 4"
+    answer = orch("run", write(single(foreign.north), "not.toml"), "--checkpoint-at", 0.02)
+    assert answer.code == 2
+    assert "no canGetAndSetFMUstate, no canSerializeFMUstate" in answer.err
+
+
+def test_a_branch_is_saved_and_gone_on_from_with_its_changes(shipped, spiral, write, tmp_path):
+    options = {"set": {"components.controller.parameters.K_p.z": 90.0}, "results": tmp_path / "results"}
+    whole = orchestrator.run(write(spiral), checkpoint_at=[0.02], **options)
+    first = whole.path.with_name(f"{whole.run_id}.at-0.02.checkpoint")
+    branch = orchestrator.run(start_from=first, swap={"controller": "mfsosmc"}, results=tmp_path / "results",
+                              set={"components.reference.step": 0.001}, checkpoint_at=[0.03])  # fmt: skip
+    second = branch.path.with_name(f"{branch.run_id}.at-0.03.checkpoint")
+    same_from(orchestrator.run(start_from=second, results=tmp_path / "results"), branch, 0.03)
+
+
 @needs_compiler
 def test_signals_that_the_first_run_did_not_record_begin_at_the_checkpoint(pair, write, tmp_path):
     whole = orchestrator.run(write(pair), results=tmp_path, checkpoint_at=[0.015])
