@@ -55,7 +55,7 @@ def _experiment(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str,
     order = " ".join(name for name in components if name in common)
     return {"master": resolved["master"], "order": order, "components": components,
             "connections": {sink: v for sink, v in connections.items() if sink.partition(".")[0] in common},
-            "record": resolved["record"]}  # fmt: skip
+            "record": resolved["record"], "from": resolved.get("from", {})}  # fmt: skip
 
 
 def _connections(pairs: Iterable[tuple[str, str]], others: Iterable[tuple[str, str]]) -> dict[str, str]:

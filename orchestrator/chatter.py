@@ -74,7 +74,7 @@ class Alternations:
         return self._table if self._middle is None else self._table - self._middle
 
     def warnings(self, ticks: int) -> list[str]:
-        """A sentence for each vector that alternated for most of the run.  ticks: steps of the master done."""
+        """A sentence for each vector that alternated for most of the run.  ticks: how many it looked at."""
         step = self._system.plan.experiment.master.step
         found = []
         for member in self._system.members:

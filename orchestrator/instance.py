@@ -196,6 +196,27 @@ class Instance:
         component, step, do_step = ctypes.c_void_p(self.component), ctypes.c_double(h), self._function("DoStep")
         return lambda t: do_step(component, t, step, 1)
 
+    def save(self) -> bytes:
+        """Its state, serialized.  Raises CallFailed, or FmuError where the library lacks a function."""
+        state, size = ctypes.c_void_p(), ctypes.c_size_t()
+        self.call(self._of_state("GetFMUstate"), ctypes.byref(state))
+        self.call(self._of_state("SerializedFMUstateSize"), state, ctypes.byref(size))
+        content = ctypes.create_string_buffer(size.value)
+        self.call(self._of_state("SerializeFMUstate"), state, content, size)
+        self.call(self._of_state("FreeFMUstate"), ctypes.byref(state))
+        return content.raw
+
+    def restore(self, content: bytes) -> None:
+        """Go back, or ahead, to a state that was saved.  Raises like `save`."""
+        state, size = ctypes.c_void_p(), ctypes.c_size_t(len(content))
+        self.call(self._of_state("DeSerializeFMUstate"), content, size, ctypes.byref(state))
+        self.call(self._of_state("SetFMUstate"), state)
+        self.call(self._of_state("FreeFMUstate"), ctypes.byref(state))
+
+    def _of_state(self, name: str) -> str:
+        """A function of FMI 2.0 under the name that this version gives it."""
+        return name if self.version == 2 else name.replace("FMUstate", "FMUState").replace("DeS", "Des")
+
     def address(self, function: str) -> int:
         return ctypes.cast(self.function(function), ctypes.c_void_p).value or 0
 

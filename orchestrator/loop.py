@@ -128,7 +128,7 @@ class InterpretedLoop(_Completing):
     name = "python"
 
     def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
-        self.ticks = 0
+        self.ticks = system.plan.first
         self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
         self._members = [
             (number, member, member.part.period, *_calls(member), _sums_of_squares(member, system))
@@ -196,7 +196,7 @@ class CompiledLoop(_Completing):
     name = "compiled"
 
     def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
-        self.ticks = 0
+        self.ticks = system.plan.first
         self._system = system
         self._rows = _Rows(system)
         self.take = self._rows.take
@@ -263,7 +263,7 @@ class _Rows:
         self._kinds = [kind for kind in system.recorded if len(system.recorded[kind])]
         self._blocks: list[Block] = []
         self._clear()
-        self.add(0)
+        self.add(system.plan.first)
 
     def _clear(self) -> None:
         self._ticks: list[int] = []

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from .branching import resume
 from .builtin import Live
 from .chatter import Alternations
 from .initialization import AlgebraicLoop
@@ -37,10 +38,10 @@ CHUNK_BYTES = 1 << 23  # of rows
 
 @dataclass
 class Outcome:
-    """How a run ended.  `ticks`: communication steps done; times in s."""
+    """How a run ended.  Times in s."""
 
     status: str  # completed, failed or interrupted
-    ticks: int = 0
+    ticks: int = 0  # at which it ended
     error: str = ""
     failed_at: float | None = None
     stopped_at: float | None = None
@@ -80,9 +81,9 @@ class Watcher:
 
 def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
-    outcome, interrupt = Outcome("completed"), interrupt or Interrupt()
+    outcome, interrupt = Outcome("completed", system.plan.first), interrupt or Interrupt()
     try:
-        outcome.warnings += system.initialize()
+        outcome.warnings += resume(system) if system.plan.origin else system.initialize()
         outcome.calculated = system.calculated()
         for observer in observers:
             if isinstance(observer, Watcher):
@@ -91,7 +92,8 @@ def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | No
     except MemberFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
     except AlgebraicLoop as loop:
-        outcome.status, outcome.error, outcome.failed_at = "failed", str(loop), 0.0
+        outcome.status, outcome.error = "failed", str(loop)
+        outcome.failed_at = system.plan.experiment.grid.time(outcome.ticks)
     outcome.heard = {m.part.name: m.instance.heard for m in system.members if isinstance(m.instance, Live)}
     outcome.warnings += [
         f"{member.part.name}: {words}" for member in system.members for words in member.instance.take_messages()
@@ -128,7 +130,7 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     loop = choose(system, alternations, timing, interrupt)
     watchers = [observer for observer in observers if isinstance(observer, Watcher)]
     _hand_over(loop, observers)
-    steps, chunk, largest = system.plan.steps, 1, _largest_chunk(system)
+    first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
     try:
         while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
@@ -152,10 +154,10 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
                 observer.progress(loop.ticks)
     finally:  # a run that fails, or that an FMU ends, is judged too
         timing.stepping = time.perf_counter() - began
-        outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks, loop.name)
+        outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks - first, loop.name)
         for watcher in watchers:
             outcome.timing |= watcher.facts()
-        outcome.warnings += alternations.warnings(loop.ticks)
+        outcome.warnings += alternations.warnings(loop.ticks - first)
     if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"

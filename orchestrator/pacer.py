@@ -31,7 +31,7 @@ class Pacer(Watcher):
 
     def rows(self, block: Block) -> None:
         if self._began is None:  # with the recorder's clock
-            self._began = time.monotonic()
+            self._began = time.monotonic() - self._grid.time(block.ticks[0]) / self._factor
 
     def limit(self, tick: int, last: int) -> int:
         return min(last, tick - tick % self._slice + self._slice)

@@ -7,11 +7,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .experiment import Experiment
 from .fmu import Fmu
 from .variables import Variable
+
+if TYPE_CHECKING:
+    from .checkpoint import Checkpoint
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,16 @@ class Plan:
     notes: tuple[str, ...]
     created: str = ""  # when, where a component is live: each such run is one of its kind
     watched: tuple[tuple[str, Variable], ...] = ()
+    origin: Checkpoint | None = None  # where it goes on from; None: from the beginning
+
+    @property
+    def first(self) -> int:
+        """The tick at which the run begins."""
+        return self.origin.tick if self.origin else 0
 
     @property
     def steps(self) -> int:
-        """How many ticks the run has."""
+        """The tick at which the run ends."""
         ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
         assert ticks is not None  # checked by experiment.load
         return ticks
@@ -98,6 +107,8 @@ class Plan:
         }  # fmt: skip
         if self.created:
             found["created"] = self.created
+        if self.origin:
+            found["from"] = self.origin.summary
         return found
 
     @property
@@ -109,7 +120,7 @@ class Plan:
     def digest(self) -> str:
         """The SHA-256 of what decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
         components = [{k: v for k, v in c.items() if k != "fmu"} for c in self.resolved["components"]]
-        keys = [key for key in ("master", "connections", "record", "created") if key in self.resolved]
+        keys = [key for key in ("master", "connections", "record", "created", "from") if key in self.resolved]
         deciding: dict[str, Any] = {**{key: self.resolved[key] for key in keys}, "components": components}
         text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -54,7 +54,7 @@ class Recorder:
         self.path, self._plan = path, plan
         self._waiting: list[Block] = []
         self._rows = 0
-        self.ticks = 0  # of the last row on disk
+        self.ticks = plan.first  # of the last row on disk
         attributes = _attributes(plan, run_id, facts or {})
         size = HEADER * (2 + len(plan.parts) + len(plan.recorded)) + 4 * sum(len(str(v)) for v in attributes.values())
         _claim(path, size + ROOM)
@@ -70,7 +70,7 @@ class Recorder:
         self._began = self._flushed = time.monotonic()
 
     def rows(self, block: Block) -> None:
-        if block.ticks[0] == 0:
+        if block.ticks[0] == self._plan.first:
             self._began = time.monotonic()
         self._waiting.append(block)
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
@@ -104,7 +104,8 @@ class Recorder:
     def finish(self, outcome: Outcome) -> tuple[float, float]:
         """Write how the run ended; the file stays open for metrics.  Returns wall time [s] and real-time factor."""
         wall_time = time.monotonic() - self._began
-        simulated = self._plan.experiment.grid.time(outcome.ticks)
+        grid = self._plan.experiment.grid
+        simulated = grid.time(outcome.ticks) - grid.time(self._plan.first)
         factor = simulated / wall_time if wall_time else math.inf
         attributes: dict[str, Any] = {
             "error": outcome.error,
@@ -250,6 +251,8 @@ def _attributes(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str, 
     }  # fmt: skip
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed
+    if plan.origin:
+        attributes |= plan.origin.attributes
     return {**attributes, **facts}
 
 

@@ -134,6 +134,12 @@ class Remote(Instance):
     def begin(self) -> None:
         self._request("instance", "begin")
 
+    def save(self) -> bytes:
+        return bytes(self._request("instance", "save"))
+
+    def restore(self, content: bytes) -> None:
+        self._request("instance", "restore", content)
+
     def stepper(self, h: float) -> Callable[[ctypes.c_double], Any]:
         return lambda t: self._step(None, t.value, h, 1)
 

@@ -11,7 +11,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import build, experiment, runner
+from . import branching, build, experiment, runner
+from .checkpoint import open_checkpoint
 from .errors import StoreError
 from .plan import Plan
 from .store import Run
@@ -48,7 +49,7 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     """What a record says that ran, its models built with the packaging they had.
 
     told: called with what is being built, and with FMUs that are not the same any more.  Raises ExperimentError, or
-    StoreError where an FMU cannot be built as it was.
+    StoreError where an FMU cannot be built as it was, or the checkpoint that it went on from is not there.
     """
     facts = record.attributes
     missing = [name for name in ("experiment_path", "changes") if name not in facts]
@@ -73,6 +74,12 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
         if part.fmu.sha256 != was:
             told(f"note: {part.name}: {part.fmu_name} is not the same any more: {was[:10]} then, "
                  f"{part.fmu.sha256[:10]} now")  # fmt: skip
+    if "from_file" in facts:
+        origin = facts["experiment_resolved"]["from"]
+        checkpoint = open_checkpoint(facts["from_file"])
+        if checkpoint.about["digest"] != origin["checkpoint_sha256"]:
+            raise StoreError(f"{record.path} went on from {checkpoint.path}, which is another checkpoint today")
+        plan = branching.attach(plan, checkpoint, origin["fresh"])
     return plan
 
 

@@ -12,13 +12,14 @@ from typing import Any
 
 import h5py
 
+from . import branching, metrics
 from . import experiment as experiments
-from . import metrics
 from .errors import RunError, StoreError
 from .master import Observer, Outcome, interruptible
 from .master import run as run_master
 from .plan import Plan
 from .recorder import Recorder
+from .saver import Saver, ticks_of
 from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_taken
 from .system import Context, System
 from .wiring import prepare
@@ -38,27 +39,36 @@ class Result:
     error: str = ""
     stopped_at: float | None = None
     repeated: bool = True  # False: the record was already there
+    checkpoints: Sequence[Path] = ()
 
 
 def run(
-    path: str | Path,
+    path: str | Path | None = None,
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str] | None = None,
     output: str | Path | None = None,
     results: str | Path = "results",
     force: bool = False,
     packaging: str = "auto",
+    checkpoint_at: Sequence[float] = (),
+    start_from: str | Path | None = None,
 ) -> Run:
     """Run an experiment; returns the open record.
 
     set: {dotted key: value} laid over the file.  swap: {component: FMU}.  output: the file to write, instead of one in
     the store `results`.  force: run again although a completed record is there.  packaging: of named models, "native",
-    "python", or "auto": native where there is a C compiler.
-    Raises ExperimentError where it cannot run, RunError, with `.run` open on the record, where it fails, and
-    KeyboardInterrupt at Ctrl-C, when the record is closed.
+    "python", or "auto": native where there is a C compiler.  checkpoint_at: times [s] at which the run is saved beside
+    its record.  start_from: a checkpoint to go on from, where no path need be given.
+    Raises ExperimentError where it cannot run, StoreError where a checkpoint cannot be read, RunError, with `.run` open
+    on the record, where it fails, and KeyboardInterrupt at Ctrl-C, when the record is closed.
     """
-    plan = prepare(experiments.load(path, set, swap), packaging=packaging)
-    result = execute(plan, output, results, force)
+    if start_from is not None:
+        plan = branching.prepare(start_from, path, set or {}, swap or {}, packaging=packaging)
+    elif path is not None:
+        plan = prepare(experiments.load(path, set, swap), packaging=packaging)
+    else:
+        raise TypeError("give the path of an experiment, or start_from a checkpoint")
+    result = execute(plan, output, results, force, checkpoints=ticks_of(plan, checkpoint_at))
     if result.status == "interrupted":
         raise KeyboardInterrupt(f"{result.file}: {result.error}")
     record = Run(result.file)
@@ -74,12 +84,16 @@ def execute(
     force: bool = False,
     observers: Sequence[Observer] = (),
     context: Context | None = None,
+    checkpoints: Sequence[int] = (),
 ) -> Result:
     """Run a resolved plan into its record, unless a completed one is there.
 
-    context: {component: what a builtin may need of the run}.  Raises OrchError where nothing started.
+    context: {component: what a builtin may need of the run}.  checkpoints: ticks at which to save it, see
+    `saver.ticks_of`.  Raises OrchError where nothing started.
     """
     run_id, final = _place(plan, output, results)
+    saver = Saver(plan, checkpoints, run_id, final)
+    force = force or not saver.are_there()
     if output is None and not force and _status(final) == "completed":
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
@@ -92,7 +106,8 @@ def execute(
             return _recall(run_id, final, plan)
         recorder = Recorder(path, plan, run_id)
         try:
-            outcome = run_master(system, [recorder, *observers], interrupt)
+            outcome = run_master(system, [recorder, *observers, saver], interrupt)
+            outcome.warnings += saver.warnings()
             recorder.flush()
             wall_time, factor = recorder.finish(outcome)
             if outcome.status == "completed":
@@ -109,7 +124,7 @@ def execute(
         os.replace(path, final)
         path = final
     return Result(run_id, path, outcome.status, wall_time, factor, values, outcome.warnings, outcome.error,
-                  outcome.stopped_at)  # fmt: skip
+                  outcome.stopped_at, checkpoints=saver.saved)  # fmt: skip
 
 
 def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:

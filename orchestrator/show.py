@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import metrics, system_table
@@ -36,6 +37,8 @@ def result(result: Result, plan: Plan) -> str:
         f"  wall time         {result.wall_time:.4g} s",
         f"  real-time factor  {result.real_time_factor:.4g}",
     ]
+    lines += [f"  from              {plan.origin}"] if plan.origin else []
+    lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
         units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
         lines += ["  metrics", *columns_of(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
@@ -53,6 +56,7 @@ def record(run: Run) -> str:
     rows += [(name.replace("_", " "), facts[name]) for name in ("command", "git_commit", "platform") if facts[name]]
     rows += [(name.replace("_", " "), f"{facts[name]:.10g} s") for name in ("failed_at", "stopped_at") if name in facts]
     rows += [
+        ("from", _origin(facts)),
         ("error", facts["error"]),
         ("steps", f"{facts['step']:g} s, {facts['algorithm']}; {len(run.time)} rows"),
         ("wall time", f"{facts['wall_time']:.4g} s, {facts['real_time_factor']:.4g}x real time"),
@@ -72,6 +76,15 @@ def record(run: Run) -> str:
         lines += ["", *_timing(facts["timing"])]
     lines += [f"warning: {warning}" for warning in facts["warnings"]]
     return "\n".join(lines)
+
+
+def _origin(facts: Mapping[str, Any]) -> str:
+    """The checkpoint that a run went on from, or ""."""
+    if "from_run" not in facts:
+        return ""
+    fresh = facts["experiment_resolved"]["from"]["fresh"]
+    anew = f"; begun anew: {', '.join(fresh)}" if fresh else ""
+    return f"run {facts['from_run']} at t = {facts['from_time']:.10g} s, {short(Path(facts['from_file']))}{anew}"
 
 
 def _timing(timing: Mapping[str, Any]) -> list[str]:
@@ -118,6 +131,7 @@ def result_as_json(result: Result) -> dict[str, Any]:
         "run_id": result.run_id, "file": str(result.file), "status": result.status, "wall_time": result.wall_time,
         "real_time_factor": result.real_time_factor, "metrics": finite(result.metrics),
         "warnings": list(result.warnings), "error": result.error,
+        **({"checkpoints": list(map(str, result.checkpoints))} if result.checkpoints else {}),
     }  # fmt: skip
 
 

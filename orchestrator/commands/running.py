@@ -16,9 +16,11 @@ from ..options import (
     live_of,
     live_options,
     packaging_option,
+    pairs,
     prepared,
     results_option,
     silent,
+    swaps_of,
     tell,
 )
 
@@ -29,6 +31,8 @@ Examples:
   orch run experiments/spiral_pid.toml --set master.stop_time=10 --swap controller=mfsosmc
   orch run experiments/gripping_currents.toml --realtime --mavlink udpout:127.0.0.1:14550
   orch run experiments/gripping_currents.toml --realtime 2 --mavlink 1=tcpin:127.0.0.1:5760
+  orch run experiments/spiral_pid.toml --checkpoint-at 12
+  orch run --from results/spiral_pid/3f9a2c1d5e.at-12.checkpoint --swap controller=mfsosmc
 """)
 @click.argument("experiment", metavar="EXPERIMENT.toml", required=False)
 @changes_options
@@ -36,6 +40,9 @@ Examples:
 @click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
 @results_option
 @click.option("--force", is_flag=True, help="Run again although the record is there.")
+@click.option("--checkpoint-at", "times", metavar="T", type=float, multiple=True,
+              help="Save the run at T seconds, beside its record.  Repeatable.")
+@click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names begins anew.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @live_options
 @json_option
@@ -47,6 +54,8 @@ def run(
     output: str | None,
     results: str,
     force: bool,
+    times: tuple[float, ...],
+    start: str | None,
     quiet: bool,
     as_json: bool,
     **live: Any,
@@ -55,11 +64,18 @@ def run(
     from .. import show
     from ..progress import Progress
     from ..runner import execute
+    from ..saver import ticks_of
 
     told = silent if quiet or as_json else tell
-    experiment, asked = live_of(experiment, **live)
+    experiment, asked = live_of("" if experiment is None and start else experiment, **live)
     try:
-        plan = prepared(experiment, sets, swaps, told, packaging)
+        if start is None:
+            plan = prepared(experiment, sets, swaps, told, packaging)
+        else:
+            from ..branching import prepare
+
+            plan = prepare(start, experiment or None, pairs("--set", sets), swaps_of(swaps), told, packaging)
+        ticks = ticks_of(plan, times)
         for note in plan.notes:
             told(f"note: {note}")
         progress = Progress(plan)
@@ -67,7 +83,7 @@ def run(
             try:
                 observers = [*([] if quiet or as_json else [progress]), *ties.observers]
                 again = force or bool(ties.observers)
-                result = execute(ties.plan, output, results, again, observers, ties.context)
+                result = execute(ties.plan, output, results, again, observers, ties.context, ticks)
             finally:
                 progress.done()
         for note in asked.notes:
