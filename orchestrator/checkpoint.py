@@ -86,7 +86,7 @@ def save(system: System, tick: int, run_id: str, path: Path) -> None:
 
     Raises MemberFailed where a component does not give its state, StoreError where the file cannot be written.
     """
-    from .recorder import versions
+    from .provenance import versions
 
     plan = system.plan
     experiment, states, components = plan.experiment, [], []

@@ -7,20 +7,17 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
-import itertools
 import math
-import re
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 
 from .errors import FmuError
 from .fmu import Fmu, platform_folder
+from .messages import callbacks_for, listen
 from .variables import ACCESSORS, DTYPES, Variable
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
@@ -28,8 +25,6 @@ STATUS = ("OK", "Warning", "Discard", "Error", "Fatal")
 CO_SIMULATION = 1  # fmi2Type
 LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 
-_ENVIRONMENTS = itertools.count(1)
-_MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of live instances, by environment
 
 
 class CallFailed(Exception):
@@ -88,8 +83,7 @@ class Instance:
         self.name, self.fmu = name, library.fmu
         self.healthy = self._begun = False
         self.function = library.function
-        self._environment = next(_ENVIRONMENTS)
-        self._messages = _MESSAGES[self._environment] = deque[str](maxlen=20)
+        self._environment, self._messages = listen()
         self.component = self._instantiate(library)
         if self.component is None:
             raise FmuError(f"{self.fmu.path} cannot be instantiated as {name!r}{self._words(': ')}")
@@ -98,7 +92,7 @@ class Instance:
     def _instantiate(self, library: Library) -> Any:
         """The component, None where the FMU refuses."""
         # Must live as long as the instance.
-        self._callbacks = _callbacks_for(self._environment, formats=self.fmu.packaging != "python")
+        self._callbacks = callbacks_for(self._environment, formats=self.fmu.packaging != "python")
         resources = (library.folder / "resources").as_uri().encode()
         instantiate = self.function("fmi2Instantiate")
         instantiate.restype = ctypes.c_void_p
@@ -263,36 +257,6 @@ class Instance:
         return before + words if words else ""
 
 
-@cache
-def _callbacks(formats: bool) -> Any:
-    """The callbacks of every instance.  There is one logger, for FMPy's proxy, which formats printf-style messages,
-    remembers but one; it tells instances apart by their environment.
-
-    formats: False for pythonfmu's library, which hands the text of an exception over as a format: a "%s" in it would
-    read whatever lies in memory.
-    """
-    from fmpy.fmi2 import defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-    from fmpy.logging import addLoggerProxy
-
-    def logger(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-        keep(environment, status, message)
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(logger)
-    callbacks.allocateMemory = defaultCallbacks.allocateMemory
-    callbacks.freeMemory = defaultCallbacks.freeMemory
-    if formats:
-        addLoggerProxy(ctypes.byref(callbacks))
-    return callbacks, logger
-
-
-def keep(environment: int | None, status: int, message: bytes | None) -> None:
-    """Keep a message of the instance with that environment, where it is more than news."""
-    messages = _MESSAGES.get(environment or 0)
-    if messages is not None and status > OK:
-        messages.append(_plain((message or b"").decode(errors="replace")))
-
-
 def references_of(variables: Sequence[Variable]) -> Any:
     """(n,) value references: one of each scalar, and one of each whole array."""
     return np.array([v.reference for v in variables if not v.element], dtype=np.uint32)
@@ -305,21 +269,3 @@ def exchange_strings(call: Any, reads: bool, buffer: Any, strings: Any, more: tu
     if reads:
         buffer[:] = [text or b"" for text in strings]  # valid only until the next call
     return status
-
-
-def _callbacks_for(environment: int, formats: bool) -> Any:
-    from fmpy.fmi2 import fmi2CallbackFunctions
-
-    copy = fmi2CallbackFunctions.from_buffer_copy(_callbacks(formats)[0])
-    copy.componentEnvironment = environment
-    return copy
-
-
-def _plain(message: str) -> str:
-    """The model's own words, without what pythonfmu's library puts around them."""
-    text = " ".join(message.split())
-    match = re.search(r"Fatal py exception encountered: \[\w+\] \w+ (.*)", text)
-    if not match:
-        return text
-    error = re.fullmatch(r"(\w+)\((['\"])(.*?)\2?,?\)", match[1])
-    return f"{error[1]}: {error[3]}" if error else match[1]

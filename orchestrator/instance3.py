@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .instance import DISCARD, ERROR, WARNING, Instance, Library, exchange_strings, keep
+from .instance import DISCARD, ERROR, WARNING, Instance, Library, exchange_strings
+from .messages import keep
 
 MOST_UPDATES = 1000  # of discrete states at one event
 BOOL = ctypes.c_bool

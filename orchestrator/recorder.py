@@ -7,16 +7,11 @@ reserved before anything is written, and a little of it is always left for sayin
 from __future__ import annotations
 
 import contextlib
-import datetime
 import errno
 import json
 import math
 import os
-import platform
 import shutil
-import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -31,7 +26,8 @@ from .loop import Block
 from .master import Outcome
 from .metrics import finite
 from .plan import Plan
-from .store import FORMAT, FORMAT_VERSION, HEARD, being_written, first_line, patiently
+from .provenance import attributes_of
+from .store import HEARD, being_written, first_line, patiently
 from .variables import DTYPES, Variable
 
 CHUNK_ROWS = 1024
@@ -39,7 +35,6 @@ FLUSH_SECONDS = 1.0
 ROOM = 1 << 16  # bytes kept free in the file for its last attributes
 HEADER = 1 << 12  # bytes that a signal takes without its values, and a node of its index, at most
 REFERENCE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.int32)])
-PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
 STORED = {"boolean": np.int8, "truth": np.int8, "string": h5py.string_dtype()}  # the others as they are
 
 
@@ -55,7 +50,7 @@ class Recorder:
         self._waiting: list[Block] = []
         self._rows = 0
         self.ticks = plan.first  # of the last row on disk
-        attributes = _attributes(plan, run_id, facts or {})
+        attributes = attributes_of(plan, run_id, facts or {})
         size = HEADER * (2 + len(plan.parts) + len(plan.recorded)) + 4 * sum(len(str(v)) for v in attributes.values())
         _claim(path, size + ROOM)
         try:
@@ -233,29 +228,6 @@ def _datasets_of(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
             yield component, variable, variable.shape
 
 
-def _attributes(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """What is known of a run before it begins."""
-    experiment = plan.experiment
-    attributes = {
-        "format": FORMAT, "format_version": FORMAT_VERSION, "run_id": run_id, "title": experiment.title,
-        "status": "running", "error": "", "created": _now(), "wall_time": math.nan, "real_time_factor": math.nan,
-        "algorithm": experiment.master.algorithm, "step": experiment.master.step, "experiment": experiment.path.stem,
-        "experiment_toml": experiment.text, "experiment_resolved": json.dumps(plan.resolved),
-        "versions": facts["versions"] if "versions" in facts else json.dumps(versions()),
-        "git_commit": facts["git_commit"] if "git_commit" in facts else git_commit(experiment.path.parent),
-        "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
-        "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
-        "metrics": "{}", "warnings": "[]", "timing": "{}",
-        "experiment_path": str(experiment.path.resolve()), "changes": json.dumps(experiment.changes),
-        "model_descriptions": json.dumps({part.fmu.sha256: part.fmu.description_xml for part in plan.parts}),
-    }  # fmt: skip
-    if experiment.master.seed is not None:
-        attributes["seed"] = experiment.master.seed
-    if plan.origin:
-        attributes |= plan.origin.attributes
-    return {**attributes, **facts}
-
-
 def _claim(path: Path, size: int) -> None:
     """Create the file, which no one else may have, where there is room for `size` bytes.  Raises StoreError."""
     try:
@@ -322,30 +294,6 @@ def _attach_scales(dataset: Any, scales: Sequence[Any]) -> None:
     for i, scale in enumerate(scales):
         value[i] = np.array([scale.ref], dtype=h5py.ref_dtype)
     attach(dataset, "DIMENSION_LIST", value, h5py.vlen_dtype(h5py.ref_dtype))
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide the numbers."""
-    import importlib.metadata
-
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found
-
-
-def git_commit(folder: Path) -> str:
-    """The commit that the experiment's folder is at, with "-dirty" where files differ from it; "" without git."""
-    command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
-
-
-def _now() -> str:
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def _cannot_write(path: Path, error: BaseException) -> StoreError:

@@ -16,13 +16,13 @@ import numpy as np
 
 from . import build, builtin, metrics
 from .errors import ExperimentError, FmuError, Problem, did_you_mean
-from .experiment import Component, Connection, Experiment
+from .experiment import Component, Experiment
+from .fitting import between
 from .fmu import Fmu, read
 from .mavlink import settings as mavlink
 from .plan import Link, Part, Plan
-from .units import conversion
 from .values import flatten
-from .variables import DTYPES, FLOATS, NUMBERS, OBJECTS, TRUTHS, WHOLE, Variable
+from .variables import DTYPES, NUMBERS, WHOLE, Variable
 
 
 def resolve(experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]) -> Plan:
@@ -173,40 +173,13 @@ class _Resolver:
                     self.problem(key, f"{input.name} has two drivers: {other} and {source}; keep one")
                     break
                 try:
-                    factor, offset = self.between(connection, sink_component, input, source_component, output)
+                    units = self.fmus[source_component].units, self.fmus[sink_component].units
+                    factor, offset = between(connection, output, input, *units)
                 except ValueError as error:
                     self.problem(key, str(error))
                     break
                 links.append(Link(sink_component, input, source_component, output, factor, offset))
         return links
-
-    def between(
-        self, connection: Connection, sink: str, input: Variable, source: str, output: Variable
-    ) -> tuple[float, float]:
-        """Factor and offset of one scalar connection.  Raises ValueError where the types or units do not fit."""
-        scaled = connection.gain is not None or connection.offset is not None
-        types = f"{input.name} is {input.type}, {output.name} is {output.type}"
-        if not _holds(input, output):
-            raise ValueError(types)
-        if input.kind in FLOATS and output.kind in WHOLE and not scaled:
-            raise ValueError(f"{types}; say gain = 1.0 to take it as it is")
-        factor, offset = 1.0, 0.0
-        # A gain may carry a unit: newtons for a command between -1 and 1.
-        if connection.unit_check and not (scaled and output.unit in ("", "1")):
-            try:
-                factor, offset = conversion(
-                    output.unit, self.fmus[source].units, input.unit, self.fmus[sink].units
-                )
-            except ValueError as error:
-                raise ValueError(
-                    f"{input.name} is in {input.unit!r}, {output.name} in {output.unit!r}: {error}; "
-                    "connect what fits, or say unit_check = false for this connection"
-                ) from None
-        gain = 1.0 if connection.gain is None else connection.gain
-        factor, offset = gain * factor, gain * offset + (connection.offset or 0.0)
-        if (factor, offset) != (1.0, 0.0) and (input.kind not in FLOATS or output.kind not in (*FLOATS, *WHOLE)):
-            raise ValueError(f"{types}: only what need not be a whole number can be scaled")
-        return factor, offset
 
     def end(self, name: str, causality: str, key: str) -> tuple[str, dict[str, Variable]] | None:
         """The component and variables of one end of a connection."""
@@ -300,25 +273,6 @@ class _Resolver:
         """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
         component = str(signal).partition(".")[0]
         return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
-
-
-def _holds(input: Variable, output: Variable) -> bool:
-    """Whether the input can take every value of the output: exactly, but for a Float64 into a Float32."""
-    if input.kind == output.kind or (input.kind in FLOATS and output.kind in FLOATS):
-        return True
-    if input.kind in OBJECTS or output.kind in OBJECTS or input.kind in TRUTHS or output.kind in TRUTHS:
-        return input.kind in TRUTHS and output.kind in TRUTHS
-    if output.kind in FLOATS:
-        return False
-    limits = np.iinfo(DTYPES[output.kind])
-    low, high = int(limits.min), int(limits.max)
-    if output.items:
-        values = [value for _, value in output.items]
-        low, high = min(values), max(values)
-    if input.kind in FLOATS:
-        return max(-low, high) <= 1 << (np.finfo(DTYPES[input.kind]).nmant + 1)
-    limits = np.iinfo(DTYPES[input.kind])
-    return limits.min <= low and high <= limits.max
 
 
 def matches(name: str, pattern: str) -> bool:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import OrchError, StoreError
-from ..recorder import git_commit
+from ..provenance import git_commit
 from . import cluster, table, warm, worker
 from .design import Run
 from .storage import PART, Storage

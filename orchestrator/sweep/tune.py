@@ -22,7 +22,7 @@ from typing import Any
 
 from ..errors import ExperimentError, OrchError, StoreError
 from ..experiment import load
-from ..recorder import git_commit
+from ..provenance import git_commit
 from . import cluster, engine, search, study, worker
 from .design import Run
 from .engine import Ended

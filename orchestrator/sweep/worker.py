@@ -18,7 +18,7 @@ from ..errors import OrchError
 from ..loop import Interrupt
 from ..metrics import finite
 from ..plan import Plan
-from ..recorder import versions
+from ..provenance import versions
 from ..store import UNREADABLE
 from ..store import Run as Record
 from ..wiring import resolve

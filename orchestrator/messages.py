@@ -1,0 +1,72 @@
+"""What FMUs say through their loggers, kept by instance."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import re
+from collections import deque
+from functools import cache
+from typing import Any
+from weakref import WeakValueDictionary
+
+KEPT = 20  # messages of an instance
+OK = 0  # of FMI's statuses
+
+_ENVIRONMENTS = itertools.count(1)
+_MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of live instances, by environment
+
+
+def listen() -> tuple[int, deque[str]]:
+    """An environment for a new instance, and where its messages will be while somebody holds that."""
+    environment, messages = next(_ENVIRONMENTS), deque[str](maxlen=KEPT)
+    _MESSAGES[environment] = messages
+    return environment, messages
+
+
+def keep(environment: int | None, status: int, message: bytes | None) -> None:
+    """Keep a message of the instance with that environment, where it is more than news."""
+    messages = _MESSAGES.get(environment or 0)
+    if messages is not None and status > OK:
+        messages.append(_plain((message or b"").decode(errors="replace")))
+
+
+def callbacks_for(environment: int, formats: bool) -> Any:
+    from fmpy.fmi2 import fmi2CallbackFunctions
+
+    copy = fmi2CallbackFunctions.from_buffer_copy(_callbacks(formats)[0])
+    copy.componentEnvironment = environment
+    return copy
+
+
+@cache
+def _callbacks(formats: bool) -> Any:
+    """The callbacks of every instance.  There is one logger, for FMPy's proxy, which formats printf-style messages,
+    remembers but one; it tells instances apart by their environment.
+
+    formats: False for pythonfmu's library, which hands the text of an exception over as a format: a "%s" in it would
+    read whatever lies in memory.
+    """
+    from fmpy.fmi2 import defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+    from fmpy.logging import addLoggerProxy
+
+    def logger(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:
+        keep(environment, status, message)
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(logger)
+    callbacks.allocateMemory = defaultCallbacks.allocateMemory
+    callbacks.freeMemory = defaultCallbacks.freeMemory
+    if formats:
+        addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks, logger
+
+
+def _plain(message: str) -> str:
+    """The model's own words, without what pythonfmu's library puts around them."""
+    text = " ".join(message.split())
+    match = re.search(r"Fatal py exception encountered: \[\w+\] \w+ (.*)", text)
+    if not match:
+        return text
+    error = re.fullmatch(r"(\w+)\((['\"])(.*?)\2?,?\)", match[1])
+    return f"{error[1]}: {error[3]}" if error else match[1]
