@@ -40,6 +40,7 @@ HEAD = 256  # bytes
 ALIGNMENT = 64
 LOOKS = 4000  # at a counter before sleeping: about 0.2 ms
 FIRST_SLEEP, SLEEP = 1, 50  # ms; a waker may miss a sleeper that has just looked, which then looks again
+LONGEST_CALL = 60.0  # s, of what is no step, where steps have a limit
 PATIENCE = 1.0  # s, after Ctrl-C, and for a process to end
 SAFE = platform.machine().lower() in ("x86_64", "amd64")  # others may show writes to memory out of order
 
@@ -51,7 +52,7 @@ class ProcessLost(CallFailed):
 class Remote(Instance):
     """An instance in a child process.  Raises FmuError where it cannot be instantiated.
 
-    timeout: s of wall time that a call may take; spin: whether to look at the counters before sleeping;
+    timeout: s of wall time that a step may take, other calls LONGEST_CALL; spin: whether to look at the counters before sleeping;
     interrupted: whether the user has pressed Ctrl-C.
     """
 
@@ -196,7 +197,7 @@ class Remote(Instance):
             if words[ANSWER] == asked:
                 return words[STATUS]
         try:
-            self._await(lambda wait: words[ANSWER] == asked or self._sleep(wait, asked))
+            self._await(lambda wait: words[ANSWER] == asked or self._sleep(wait, asked), self._timeout)
         except ProcessLost as error:
             return error.status
         return words[STATUS]
@@ -233,7 +234,8 @@ class Remote(Instance):
             self._wake_child()
         try:
             self._connection.send((method, arguments))
-            self._await(lambda wait: self._connection.poll(wait / 1000))
+            limit = None if self._timeout is None else max(self._timeout, LONGEST_CALL)
+            self._await(lambda wait: self._connection.poll(wait / 1000), self._timeout if method == "step" else limit)
             answer = self._connection.recv()
         except (EOFError, OSError):
             self._give_up(self._ending())
@@ -241,19 +243,19 @@ class Remote(Instance):
             raise answer
         return answer
 
-    def _await(self, done: Callable[[float], bool]) -> None:
+    def _await(self, done: Callable[[float], bool], timeout: float | None) -> None:
         """Wait until it is done.  done: waits for so many ms.  Raises ProcessLost where that will not be."""
-        deadline = math.inf if self._timeout is None else time.monotonic() + self._timeout
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
         wait: float = FIRST_SLEEP
         while not done(wait):
             wait = SLEEP
             if self.process.poll() is not None and not done(0):
                 self._give_up(self._ending())
             if time.monotonic() > deadline:
-                self._give_up(f"it did not answer within {self._timeout:g} s (timeout); its process was ended")
+                self._give_up(f"it did not answer within {timeout:g} s (timeout); its process was ended")
             if self._interrupted():
                 self._interrupted, deadline = bool, min(deadline, time.monotonic() + PATIENCE)
-                self._timeout = PATIENCE
+                timeout = PATIENCE
 
     def _give_up(self, words: str) -> None:
         self._lost = words

@@ -154,6 +154,10 @@ def test_a_run_cleans_up_what_a_killed_one_left(orch, write, probe, left, tmp_pa
     assert left() == []
 
 
+def test_a_timeout_is_of_a_step_and_not_of_the_start(orch, write, probe):
+    assert orch("run", write(two(probe, **{"components.two.timeout": 0.2}))).code == 0
+
+
 def test_isolation_and_timeout_are_checked(orch, write, probe):
     answer = orch("check", write(two(probe, "proces", **{"components.one.timeout": -1})))
     assert answer.code == 2
