@@ -52,8 +52,8 @@ class ProcessLost(CallFailed):
 class Remote(Instance):
     """An instance in a child process.  Raises FmuError where it cannot be instantiated.
 
-    timeout: s of wall time that a step may take, other calls LONGEST_CALL; spin: whether to look at the counters before sleeping;
-    interrupted: whether the user has pressed Ctrl-C.
+    timeout: s of wall time that a step may take, other calls LONGEST_CALL; spin: whether to look at the counters before
+    sleeping; interrupted: whether the user has pressed Ctrl-C.
     """
 
     batched = True

@@ -199,10 +199,11 @@ def fmu(fmu: Fmu) -> str:
         f"  FMI           {fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})",
         f"  capabilities  {', '.join(able) or 'none'}",
     ]
-    for causality in ("input", "output", "parameter", "calculatedParameter", "local"):
+    for causality in ("input", "output", "structuralParameter", "parameter", "calculatedParameter", "local"):
         rows = [_variable(fmu, name) for name in fmu.names(causality)]
         if rows:
-            title = "calculated parameters" if causality == "calculatedParameter" else f"{causality}s"
+            kind = causality.removesuffix("Parameter")
+            title = f"{causality}s" if kind == causality else f"{kind} parameters"
             lines += ["", title, *columns_of(rows, indent=2, cut=True)]
     return "\n".join(lines)
 

@@ -31,12 +31,24 @@ Context = Mapping[str, Mapping[str, Any]]
 _loaded_modules: dict[str, str] = {}  # by Python FMUs of this process: their digests
 
 
+class Shelf:
+    """Where unpacked and loaded FMUs come from."""
+
+    def unpack(self, fmu: Fmu, folder: Path) -> None:
+        """Have the FMU's files in the folder.  Raises FmuError."""
+        unpack(fmu, folder)
+
+    def library(self, fmu: Fmu, folder: Path) -> Library:
+        """Its library, from the folder.  Raises FmuError."""
+        return Library(fmu, folder)
+
+
 class System:
     """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
     outputs; `recorded`: {kind: places}."""
 
-    def __init__(self, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None):
-        self.plan, self._interrupted, self._context = plan, interrupted, context or {}
+    def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, shelf: Shelf):
+        self.plan, self._interrupted, self._context, self._shelf = plan, interrupted, context, shelf
         self.members: list[Member] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
@@ -53,13 +65,16 @@ class System:
     @classmethod
     @contextlib.contextmanager
     def open(
-        cls, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None
-    ) -> Iterator[System]:
-        """Instantiate the FMUs; frees them at the end.  context: {component: what a builtin may need}.
+        cls, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None,
+        shelf: Shelf | None = None,
+    ) -> Iterator[System]:  # fmt: skip
+        """Instantiate the FMUs; frees them at the end.
+
+        context: {component: what a builtin may need}; shelf: where unpacked FMUs come from, anew where it is None.
 
         Raises FmuError where one cannot be instantiated, KeyboardInterrupt where it was `interrupted` meanwhile.
         """
-        system = cls(plan, interrupted, context)
+        system = cls(plan, interrupted, context or {}, shelf or Shelf())
         try:
             yield system
         finally:
@@ -117,7 +132,7 @@ class System:
             path = part.fmu.path
             if path not in folders and not part.live:
                 folders[path] = self._folder.path / str(len(folders)) / part.fmu.model_identifier
-                unpack(part.fmu, folders[path])
+                self._shelf.unpack(part.fmu, folders[path])
             if part.live:
                 context = {"interrupted": self._interrupted, **self._context.get(part.name, {})}
                 instance: Instance = Live(part.name, part.fmu, context, context.get("replay"))
@@ -136,7 +151,7 @@ class System:
             return Remote(part.name, part.fmu, folder, part.timeout, spin, self._interrupted)
         if path not in libraries:
             _loaded_modules.update(part.fmu.python_modules)
-            libraries[path] = Library(part.fmu, folder)
+            libraries[path] = self._shelf.library(part.fmu, folder)
         return (Instance if part.fmu.version == 2 else Instance3)(part.name, libraries[path])
 
     def _step_of(self, part: Part) -> float:

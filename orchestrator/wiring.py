@@ -24,18 +24,25 @@ from .plan import Link, Part, Plan
 from .values import flatten
 from .variables import DTYPES, NUMBERS, WHOLE, Variable
 
+Reader = Callable[..., Fmu]
 
-def resolve(experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]) -> Plan:
+
+def resolve(
+    experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader = read
+) -> Plan:
     """Fit the experiment to its FMUs.
 
-    built: {model: its FMU}; unbuilt: {model: why it cannot be built}.  Raises ExperimentError with every problem.
+    built: {model: its FMU}; unbuilt: {model: why it cannot be built}; reader: in place of `fmu.read`.  Raises
+    ExperimentError with every problem.
     """
-    return _Resolver(experiment, built, unbuilt).plan()
+    return _Resolver(experiment, built, unbuilt, reader).plan()
 
 
 class _Resolver:
-    def __init__(self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str]):
-        self.experiment, self.built, self.unbuilt = experiment, built, unbuilt
+    def __init__(
+        self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader
+    ):  # fmt: skip
+        self.experiment, self.built, self.unbuilt, self.read = experiment, built, unbuilt, reader
         self.problems = list(experiment.problems)
         self.notes = list(experiment.notes)
         self.fmus: dict[str, Fmu] = {}  # by component
@@ -78,14 +85,15 @@ class _Resolver:
                 if component.fmu in self.unbuilt:
                     raise FmuError(self.unbuilt[component.fmu])
                 path = build.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
-                fmu = files.get((path, "")) or read(path)
+                fmu = files.get((path, "")) or self.read(path)
                 files[path, ""] = fmu
                 structure = {
                     n: v for n, v in component.parameters.items()
                     if n in fmu.variables and fmu.variables[n].causality == "structuralParameter" and type(v) is int
                 }  # fmt: skip
                 key = path, repr(structure or "")
-                self.fmus[component.name] = files[key] = files.get(key) or (read(path, structure) if structure else fmu)
+                files[key] = files.get(key) or (self.read(path, structure) if structure else fmu)
+                self.fmus[component.name] = files[key]
             except FmuError as error:
                 self.problem(f"components.{component.name}.fmu", str(error))
 

@@ -16,7 +16,7 @@ from ..master import run as run_master
 from ..plan import Plan
 from ..recorder import Recorder
 from ..store import ID_LENGTH
-from ..system import System
+from ..system import Shelf, System
 
 if TYPE_CHECKING:
     from ..master import Observer
@@ -34,7 +34,8 @@ class Performed:
     metrics: Mapping[str, float]
 
 
-def perform(plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt) -> Performed:
+def perform(plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt,
+            shelf: Shelf) -> Performed:  # fmt: skip
     """Run a plan into a record at `path`.
 
     keep: "full"; "decimated", with every n-th row; or "metrics", without rows.  Metrics are those of all rows.
@@ -46,7 +47,7 @@ def perform(plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interru
     if keep != "full":
         known["kept"] = keep
     values: Mapping[str, float] = {}
-    with System.open(plan, interrupt.is_set) as system:
+    with System.open(plan, interrupt.is_set, shelf=shelf) as system:
         recorder = Recorder(path, kept, plan.digest[:ID_LENGTH], known)
         try:
             writing: list[Observer] = [] if keep == "metrics" else [_Sieve(recorder, plan, kept)]

@@ -13,21 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from .. import fmu as fmus
-from .. import system, wiring
+from .. import system
 from ..errors import StoreError
 from ..fmu import Fmu
 from ..instance import Library
 from .storage import Storage
 
 
-class Shelf:
+class Shelf(system.Shelf):
     """The FMUs of this process, in a folder that is gone when the process ends orderly."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="orch-worker-", ignore_cleanup_errors=True)
         self._read: dict[tuple[Any, ...], Fmu] = {}
         self._libraries: dict[str, Library] = {}
-
 
     def fmu(self, storage: Storage, digest: str) -> Path:
         """The FMU of that digest, from the sweep's folder.  Raises StoreError where it is not what it should be."""
@@ -85,11 +84,7 @@ _shelves: list[Shelf] = []
 
 
 def shelf() -> Shelf:
-    """The shelf of this process, made at the first call; from then on runs of this process take their FMUs from it."""
+    """The shelf of this process, made at the first call."""
     if not _shelves:
-        mine = Shelf()
-        _shelves.append(mine)
-        for module, name, value in ((wiring, "read", mine.read), (system, "unpack", mine.unpack),
-                                    (system, "Library", mine.library)):  # fmt: skip
-            setattr(module, name, value)
+        _shelves.append(Shelf())
     return _shelves[0]

@@ -90,7 +90,7 @@ def _one(job: Job, run: Run, shelf: warm.Shelf, storage: Storage, interrupt: Int
             return Line(run.index, run_id, COMPLETED, metrics=found, fresh=False)
     known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
     with storage.scratch(name) as path:
-        done = perform(plan, path, job.keep, known, interrupt)
+        done = perform(plan, path, job.keep, known, interrupt, shelf)
         if done.status != "interrupted":
             storage.put(path, name)
     return Line(run.index, run_id, done.status, done.error, finite(done.metrics))
@@ -101,7 +101,7 @@ def plan_of(job: Job, run: Run, shelf: warm.Shelf, storage: Storage) -> Plan:
     experiment = job.experiment(run)
     places = {c.name: str(shelf.fmu(storage, job.fmus[c.fmu])) for c in experiment.components if c.fmu}
     fetched = tuple(replace(c, fmu=places.get(c.name, c.fmu)) for c in experiment.components)
-    plan = resolve(replace(experiment, components=fetched), {}, {})
+    plan = resolve(replace(experiment, components=fetched), {}, {}, shelf.read)
     names = {c.name: c.fmu for c in experiment.components}
     parts = tuple(replace(part, fmu_name=names[part.name]) for part in plan.parts)
     return replace(plan, experiment=experiment, parts=parts)
