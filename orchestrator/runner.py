@@ -6,7 +6,7 @@ import glob
 import itertools
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ class Result:
     stopped_at: float | None = None
     repeated: bool = True  # False: the record was already there
     checkpoints: Sequence[Path] = ()
+    last_inputs: Mapping[str, Any] = field(default_factory=dict)  # of the component that failed
 
 
 def run(
@@ -124,7 +125,7 @@ def execute(
         os.replace(path, final)
         path = final
     return Result(run_id, path, outcome.status, wall_time, factor, values, outcome.warnings, outcome.error,
-                  outcome.stopped_at, checkpoints=saver.saved)  # fmt: skip
+                  outcome.stopped_at, checkpoints=saver.saved, last_inputs=outcome.last_inputs)  # fmt: skip
 
 
 def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:

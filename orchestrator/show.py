@@ -24,6 +24,9 @@ if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from .store import Run
 
 
+SHOWN_INPUTS = 8
+
+
 def result(result: Result, plan: Plan) -> str:
     """A finished run."""
     head = f"{plan.experiment.path.stem} {result.run_id}: {result.status}"
@@ -124,6 +127,14 @@ def _metrics(
         shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
         rows.append((name, shown, "" if unit == "1" else unit))
     return rows
+
+
+def last_inputs(result: Result) -> str:
+    """What the component that failed was given last: the first few, the record has all."""
+    shown = [f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
+             for name, value in list(result.last_inputs.items())[:SHOWN_INPUTS]]  # fmt: skip
+    more = len(result.last_inputs) - len(shown)
+    return f"  its last inputs: {', '.join(shown)}" + (f", and {more} more in the record" if more else "")
 
 
 def result_as_json(result: Result) -> dict[str, Any]:

@@ -154,6 +154,11 @@ def test_a_run_cleans_up_what_a_killed_one_left(orch, write, probe, left, tmp_pa
     assert left() == []
 
 
+def test_the_last_inputs_of_what_failed_are_told(orch, write, probe):
+    answer = orch("run", write(two(probe, **{"components.two.parameters": {"mode": 12, "at": 0.05}})))
+    assert answer.err.splitlines()[-1] == "  its last inputs: u = 0.06, count = 18, flag = 0"
+
+
 def test_a_timeout_is_of_a_step_and_not_of_the_start(orch, write, probe):
     assert orch("run", write(two(probe, **{"components.two.timeout": 0.2}))).code == 0
 

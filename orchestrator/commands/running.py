@@ -100,6 +100,8 @@ def run(
         told(f"warning: {warning}")
     if result.status != "completed":
         click.echo(f"{result.file}: {result.error}", err=True)
+    if result.last_inputs:
+        told(show.last_inputs(result))
     asked.finish(result.file)
     if result.status == "completed":
         return 0
