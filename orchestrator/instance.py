@@ -152,16 +152,17 @@ class Instance:
         buffer[:] = values
         self.check(self.exchange("Set", kind, references_of(variables[:1]), buffer)())
 
-    def values(self, variable: Variable) -> dict[str, Any]:
-        """{name: value} of a number as it is now, of an array all elements; nothing of an instance that is batched.
+    def values(self, variables: Sequence[Variable]) -> dict[str, Any]:
+        """{name: value} of numbers of one kind as they are now, of arrays all elements; nothing of an instance that is
+        batched.
 
         Raises CallFailed.
         """
-        if self.batched:
+        elements = [element for variable in variables for element in self.fmu.elements(variable)]
+        if self.batched or not elements:
             return {}
-        elements = self.fmu.elements(variable)
-        buffer = np.zeros(len(elements), dtype=DTYPES[variable.kind])
-        self.check(self.exchange("Get", variable.kind, references_of([variable]), buffer)())
+        buffer = np.zeros(len(elements), dtype=DTYPES[elements[0].kind])
+        self.check(self.exchange("Get", elements[0].kind, references_of(variables), buffer)())
         return dict(zip((element.name for element in elements), buffer.tolist(), strict=True))
 
     def room(self, kind: str, n: int) -> Any:

@@ -114,13 +114,12 @@ class System:
         """
         found: dict[str, dict[str, Any]] = {}
         for member in self.members:
-            values: dict[str, Any] = {}
-            for variable in member.part.fmu.variables.values():
-                if variable.causality == "calculatedParameter" and not variable.element and variable.kind in NUMBERS:
-                    with failing(member):
-                        values |= member.instance.values(variable)
-            if values:
-                found[member.part.name] = values
+            chosen = [v for v in member.part.fmu.variables.values() if v.causality == "calculatedParameter"]
+            for kind in NUMBERS:
+                with failing(member):
+                    values = member.instance.values([v for v in chosen if v.kind == kind and not v.element])
+                if values:
+                    found.setdefault(member.part.name, {}).update(values)
         return found
 
     def _instantiate(self) -> None:

@@ -369,7 +369,7 @@ h5py.File.flush = spy
 orch.run("mine.toml")
 print(list(dict.fromkeys(seen)))
 """)
-    assert answer.out == "[(0, 0), (0, 6), (6, 6)]\n", answer.err
+    assert answer.out == "[(0, 6), (6, 6)]\n", answer.err
 
 
 def test_a_record_can_be_read_while_it_is_written(endless):

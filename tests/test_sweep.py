@@ -182,9 +182,16 @@ def test_only_verified_complete_records_count_as_there(orch, sweep, write, tmp_p
     with h5py.File(records[3], "r+") as file:
         file["vehicle/eta.x"].resize((2,))
     records[4].unlink()
+    with h5py.File(records[5]) as file:
+        chunk = file["vehicle/eta.x"].id.get_chunk_info(0)
+    with records[5].open("r+b") as file:
+        file.seek(chunk.byte_offset)
+        damaged = bytes([file.read(1)[0] ^ 1])
+        file.seek(chunk.byte_offset)
+        file.write(damaged)
     Path(done["table"]).unlink()
     again = orch("sweep", path, "--json").json
-    assert (again["completed"], again["reused"]) == (6, 1)
+    assert (again["completed"], again["reused"]) == (6, 0)
     assert table_of(tmp_path / "results") == before
 
 

@@ -108,7 +108,10 @@ def plan_of(job: Job, run: Run, shelf: warm.Shelf, storage: Storage) -> Plan:
 
 
 def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
-    """The metrics of a record that is complete and of this very run, with these metrics and rows; else None."""
+    """The metrics of a record that is complete and of this very run, with these metrics and rows; else None.
+
+    All rows are read, and so checked by HDF5's checksums.
+    """
     try:
         with storage.opened(name) as opened, h5py.File(opened, "r", **_lockless(opened)) as file:
             facts = file.attrs
@@ -120,7 +123,7 @@ def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float
             if rows != rows_of(plan, keep, facts.get("stopped_at")):
                 return None
             ends = [name.partition(".")[::2] for name in Record(Path(name), file).signals]
-            if bool(ends) != (keep != "metrics") or any(len(file[component][name]) != rows for component, name in ends):
+            if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
                 return None
             found: dict[str, float | None] = json.loads(facts["metrics"])
             return found if set(found) == set(plan.experiment.metrics) else None

@@ -1,0 +1,96 @@
+"""What a sweep costs: 200 draws of the spiral under three controllers, 30 s at 1 ms.
+
+With one worker and with two, from the first run started to the last record closed; what a run takes beyond stepping;
+and the memory of a worker after many runs.
+
+examples:
+  python benchmarks/sweep.py
+  python benchmarks/sweep.py --draws 20 --repeats 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import tempfile
+from pathlib import Path
+
+import orchestrator
+from orchestrator.sweep import engine, study, worker
+from orchestrator.sweep.storage import Storage
+from orchestrator.sweep.study import Study
+from orchestrator.sweep.table import TABLE
+from orchestrator.sweep.worker import Line
+
+EXPERIMENT = Path(__file__).parent.parent / "experiments" / "sweep_currents.toml"
+CONTROLLERS = ["pid", "nstsmc", "ftsosmc"]
+
+
+def prepare(draws: int, keep: str) -> Study:
+    return study.prepare(EXPERIMENT, {
+        "master.step": 1e-3, "sweep.draws": draws, "sweep.keep": keep,
+        'sweep.vary."components.controller.fmu"': CONTROLLERS,
+    })  # fmt: skip
+
+
+def swept(made: Study, workers: int) -> tuple[float, bytes]:
+    """Seconds, and the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        ended = engine.sweep(made, folder, workers=workers)
+        return ended.wall_time, ended.storage.read(TABLE)
+
+
+def here(made: Study, folder: str, first: int, last: int) -> list[Line]:
+    """Runs of a sweep in this process, as a worker runs them."""
+    job = made.job(folder, {"git_commit": "", "command": "[]"})
+    storage = Storage(job.folder)
+    engine.lay_out(made, storage)
+    return worker.batch("", job, made.design.runs()[first:last], True)
+
+
+def beyond_stepping(keep: str, runs: int) -> float:
+    """Seconds of a run, the median, in which it does not step."""
+    made = prepare(runs // len(CONTROLLERS) + 1, keep)
+    with tempfile.TemporaryDirectory() as folder:
+        here(made, folder, 0, len(CONTROLLERS))  # loads the FMUs
+        lines = here(made, folder, len(CONTROLLERS), runs)
+        costs = []
+        for line in lines:
+            with orchestrator.open_run(Path(folder) / made.folder / f"{line.run_id}.h5") as run:
+                costs.append(line.seconds - run.attributes["timing"]["stepping"])
+    return statistics.median(costs)
+
+
+def resident() -> float:
+    """Megabytes of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=200, help="default: 200")
+    parser.add_argument("--repeats", type=int, default=3, help="of the two sweeps, in turn; default: 3")
+    parser.add_argument("--runs", type=int, default=2000, help="that memory is measured over; default: 2000")
+    given = parser.parse_args()
+
+    made = prepare(given.draws, "metrics")
+    pairs = [(swept(made, 1), swept(made, 2)) for _ in range(given.repeats)]
+    one, two = (statistics.median(pair[i][0] for pair in pairs) for i in (0, 1))
+    same = len({table for pair in pairs for _, table in pair}) == 1
+    print(f"{len(made.design.runs())} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
+          f"{'the same table' if same else 'DIFFERENT TABLES'}")  # fmt: skip
+    for keep in ("metrics", "decimated", "full"):
+        print(f"a run beyond its stepping, keep = {keep!r}: {1e3 * beyond_stepping(keep, 60):.1f} ms")
+    if Path("/proc/self/statm").exists():
+        made = prepare(given.runs // len(CONTROLLERS) + 1, "metrics")
+        with tempfile.TemporaryDirectory() as folder:
+            few = given.runs // 10
+            here(made, folder, 0, few)
+            before = resident()
+            here(made, folder, few, given.runs)
+            print(f"memory of a worker: {before:.1f} MB after {few} runs, {resident():.1f} MB after {given.runs}")
+
+
+if __name__ == "__main__":
+    main()
