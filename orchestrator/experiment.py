@@ -7,7 +7,9 @@ Problems do not stop the reading: they are gathered in `Experiment.problems`, an
 from __future__ import annotations
 
 import copy
+import functools
 import math
+import pickle
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -107,7 +109,7 @@ def parse(
 ) -> Experiment:
     """`load` for the text of a file that lies, or lay, at `path`."""
     try:
-        table = tomllib.loads(text)
+        table = pickle.loads(_pickled(text))
     except (ValueError, RecursionError) as error:  # what is no TOML, thousands of digits, thousands of brackets
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
     if out_of_bounds := [*bounds.problems(table), *bounds.problems(set or {})]:
@@ -119,6 +121,12 @@ def parse(
     for key, value in changes["set"].items():
         reader.overlay(table, key, copy.deepcopy(value))
     return reader.experiment(path, text, table, tuple(note for note in notes if note), changes)
+
+
+@functools.lru_cache(maxsize=4)
+def _pickled(text: str) -> bytes:
+    """The table of a TOML text, to be unpickled: a sweep reads the same text thousands of times."""
+    return pickle.dumps(tomllib.loads(text))
 
 
 def parse_value(text: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import shutil
 import tempfile
 from pathlib import Path
@@ -35,6 +36,7 @@ class Scratch:
             self._lock.close()
 
 
+@functools.cache  # once a process
 def _remove_abandoned(folder: Path) -> None:
     for lock in folder.glob(f"{PREFIX}*/{LOCK}"):
         with contextlib.suppress(OSError), lock.open() as file:  # another user's, or gone by now

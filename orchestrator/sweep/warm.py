@@ -6,9 +6,9 @@ unpacked for every run, each run's libraries would stay in memory.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +17,22 @@ from .. import system
 from ..errors import StoreError
 from ..fmu import Fmu
 from ..instance import Library
+from ..scratch import Scratch
 from .storage import Storage
 
 
 class Shelf(system.Shelf):
-    """The FMUs of this process, in a folder that is gone when the process ends orderly."""
+    """The FMUs of this process, in a folder that is gone when the process ends."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="orch-worker-", ignore_cleanup_errors=True)
+        self._folder = Scratch()
+        atexit.register(self._folder.close)
         self._read: dict[tuple[Any, ...], Fmu] = {}
         self._libraries: dict[str, Library] = {}
 
     def fmu(self, storage: Storage, digest: str) -> Path:
         """The FMU of that digest, from the sweep's folder.  Raises StoreError where it is not what it should be."""
-        path = Path(self._folder.name) / f"{digest}.fmu"
+        path = self._folder.path / f"{digest}.fmu"
         if not path.exists():
             content = storage.read(fmu_place(digest))
             if hashlib.sha256(content).hexdigest() != digest:
@@ -42,7 +44,7 @@ class Shelf(system.Shelf):
 
     def read(self, path: Path, *more: Any) -> Fmu:
         """`fmu.read`, once a file of this folder."""
-        if path.parent != Path(self._folder.name):
+        if path.parent != self._folder.path:
             return fmus.read(path, *more)
         key = (path, *map(repr, more))
         if key not in self._read:
@@ -69,7 +71,7 @@ class Shelf(system.Shelf):
         return self._libraries[fmu.sha256]
 
     def _unpacked(self, fmu: Fmu) -> Path:
-        folder = Path(self._folder.name) / fmu.sha256 / fmu.model_identifier
+        folder = self._folder.path / fmu.sha256 / fmu.model_identifier
         if not folder.exists():
             fmus.unpack(fmu, folder)
         return folder
