@@ -81,7 +81,7 @@ def main() -> None:
     print(f"{len(made.design.runs())} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
           f"{'the same table' if same else 'DIFFERENT TABLES'}")  # fmt: skip
     for keep in ("metrics", "decimated", "full"):
-        print(f"a run beyond its stepping, keep = {keep!r}: {1e3 * beyond_stepping(keep, 60):.1f} ms")
+        print(f"a run beyond its stepping, keep = {keep!r}: {1e3 * beyond_stepping(keep, min(60, given.runs)):.1f} ms")
     if Path("/proc/self/statm").exists():
         made = prepare(given.runs // len(CONTROLLERS) + 1, "metrics")
         with tempfile.TemporaryDirectory() as folder:

@@ -38,3 +38,23 @@ def test_a_store_of_records_is_searched(tmp_path):
     assert "50 records" in done.stdout
     assert "list --where a parameter" in done.stdout
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_sweep_is_measured(tmp_path):
+    command = [sys.executable, BENCHMARKS / "sweep.py", "--draws", "4", "--repeats", "1", "--runs", "20"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("12 runs: ")
+    assert lines[0].endswith("the same table")
+    assert [line.partition(":")[0] for line in lines[1:4]] == [
+        f"a run beyond its stepping, keep = '{keep}'" for keep in ("metrics", "decimated", "full")
+    ]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_isolation_is_measured(tmp_path):
+    command = [sys.executable, BENCHMARKS / "isolation.py", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == [f"{n} isolated" for n in range(1, 5)]
