@@ -109,11 +109,12 @@ def parse(
 ) -> Experiment:
     """`load` for the text of a file that lies, or lay, at `path`."""
     try:
-        table = pickle.loads(_pickled(text))
+        content, out_of_bounds = _read(text)
     except (ValueError, RecursionError) as error:  # what is no TOML, thousands of digits, thousands of brackets
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
-    if out_of_bounds := [*bounds.problems(table), *bounds.problems(set or {})]:
+    if out_of_bounds := [*out_of_bounds, *bounds.problems(set or {})]:
         raise ExperimentError(path, out_of_bounds)
+    table = pickle.loads(content)
     reader = _Reader()
     changes = {"set": {key: _plain(value) for key, value in (set or {}).items()}, "swap": dict(swap or {})}
     # The swap first: it drops parameters of the FMU that leaves, not those that are set for the one that comes.
@@ -124,9 +125,11 @@ def parse(
 
 
 @functools.lru_cache(maxsize=4)
-def _pickled(text: str) -> bytes:
-    """The table of a TOML text, to be unpickled: a sweep reads the same text thousands of times."""
-    return pickle.dumps(tomllib.loads(text))
+def _read(text: str) -> tuple[bytes, list[Problem]]:
+    """The table of a TOML text, pickled, or what is out of bounds; a sweep reads the same text again and again."""
+    table = tomllib.loads(text)
+    out_of_bounds = list(bounds.problems(table))
+    return (b"" if out_of_bounds else pickle.dumps(table)), out_of_bounds
 
 
 def parse_value(text: str) -> Any:

@@ -67,9 +67,10 @@ def test_after_a_kill_between_any_two_writes_every_flushed_row_is_there(python, 
     write(merged(spiral, {"master.stop_time": 2.5, "record": record, "metrics": metrics}))
     answer = python("""
 import orchestrator as orch
-from orchestrator import recorder
+from orchestrator import master, recorder
 
-recorder.FLUSH_SECONDS = 0.0  # after every chunk of steps
+master.CHUNK_SECONDS = 1e9  # each chunk of steps is twice the last one
+recorder.FLUSH_SECONDS = 0.0  # after every chunk
 orch.run("mine.toml", output="run.h5")
 """, env={**os.environ, "LD_PRELOAD": str(library), "SNAPSHOTS": str(states)})
     assert answer.code == 0, answer.err

@@ -125,6 +125,13 @@ def test_all_problems_of_a_sweep_are_told_at_once(orch, sweep, write):
             assert words in answer.err
 
 
+def test_a_distribution_that_is_no_name_is_told(orch, sweep, write):
+    sweep["sweep"]["vary"][MASS] = {"distribution": {"uniform": 1}}
+    answer = orch("check", write(sweep))
+    assert answer.code == 2
+    assert "distribution: no {'uniform': 1}" in answer.err
+
+
 def test_problems_of_a_combination_say_where(orch, sweep, write):
     sweep["sweep"]["vary"][FMU] = ["pid", "pidd"]
     sweep["sweep"]["vary"]["components.vehicl.parameters.m"] = UNIFORM

@@ -238,7 +238,7 @@ class _Reader:
 
     def distribution(self, where: str, table: Mapping[str, Any]) -> None:
         name = table["distribution"]
-        if name not in DISTRIBUTIONS:
+        if not isinstance(name, str) or name not in DISTRIBUTIONS:
             self.problem(f"{where}.distribution", f"no {name!r}{did_you_mean(str(name), DISTRIBUTIONS)}")
             return
         needs = DISTRIBUTIONS[name]
