@@ -1,6 +1,7 @@
 """Runs saved and gone on from: bit for bit, or with another component."""
 
 import json
+import os
 import subprocess
 import zipfile
 from pathlib import Path
@@ -49,20 +50,24 @@ def description3(name):
 
 @pytest.fixture(scope="session")
 def buckets(tmp_path_factory):
-    """{version of FMI: the FMU of tests/c/bucket.c}"""
+    """{version of FMI: the FMU of tests/c/bucket.c}, and one that saves addresses."""
     if COMPILER is None:
         return {}
-    found = {}
-    for version, describe, flags in ((2, description2, []), (3, description3, ["-DFMI3"])):
-        folder = tmp_path_factory.mktemp(f"bucket{version}")
-        platform, suffix = platform_folder(version)
-        library = folder / f"bucket{suffix}"
-        subprocess.run([COMPILER, "-w", "-shared", "-fPIC", "-O1", *flags, "-o", library, SOURCE], check=True)
-        found[version] = folder / "bucket.fmu"
-        with zipfile.ZipFile(found[version], "w") as archive:
-            archive.writestr("modelDescription.xml", describe("bucket"))
-            archive.write(library, f"binaries/{platform}/{library.name}")
-    return found
+    return {
+        2: bucket(tmp_path_factory.mktemp("bucket2"), 2, description2, []),
+        3: bucket(tmp_path_factory.mktemp("bucket3"), 3, description3, ["-DFMI3"]),
+        "addresses": bucket(tmp_path_factory.mktemp("addresses"), 2, description2, ["-DADDRESSES"]),
+    }
+
+
+def bucket(folder, version, describe, flags):
+    platform, suffix = platform_folder(version)
+    library = folder / f"bucket{suffix}"
+    subprocess.run([COMPILER, "-w", "-shared", "-fPIC", "-O1", *flags, "-o", library, SOURCE], check=True)
+    with zipfile.ZipFile(folder / "bucket.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", describe("bucket"))
+        archive.write(library, f"binaries/{platform}/{library.name}")
+    return folder / "bucket.fmu"
 
 
 @pytest.fixture
@@ -363,3 +368,16 @@ def test_a_run_that_ends_before_a_checkpoint_says_that_there_is_none(orch, model
     assert answer.code == 0
     assert "at-0.01.checkpoint" in answer.out
     assert "no checkpoint at t = 0.04 s: the run ended before" in answer.err
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_state_that_crashes_its_fmu_is_a_sentence(orch, pair, buckets, write):
+    pair["components"]["fast"]["fmu"] = str(buckets["addresses"])
+    done = orch("run", write(pair), "--checkpoint-at", "0.02", "--json")
+    checkpoint = Path(done.json["file"]).with_suffix(".at-0.02.checkpoint")
+    answer = orch("run", "--from", checkpoint)
+    assert answer.code == 3
+    assert "'fast' failed at t = 0.02 s: its FMU crashes (SIGSEGV)" in answer.err
+    anew = orch("run", "--from", checkpoint, "--swap", f"fast={buckets['addresses']}")
+    assert anew.code == 0, anew.err
