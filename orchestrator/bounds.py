@@ -28,7 +28,7 @@ def problems(table: Mapping[str, Any]) -> Iterator[Problem]:
                 waiting.append((f"{key}.{_plain(name)}".lstrip("."), depth + 1, below))
         elif isinstance(value, list):
             waiting += [(key, depth + 1, below) for below in value]
-        elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
             yield _problem(key, "is a whole number that does not fit 64 bits")
         elif isinstance(value, str) and (what := _text(value)):
             yield _problem(key, what)
