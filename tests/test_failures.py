@@ -369,6 +369,34 @@ def test_a_disk_without_room_for_the_file_starts_nothing(orch, write, probe, tmp
     assert not list(tmp_path.glob("results/*/*"))
 
 
+def test_a_flush_that_fails_leaves_the_rows_before_it(python, write, spiral):
+    write(merged(spiral, {"record.every": 0.001}))
+    answer = python("""
+import h5py
+import orchestrator as orch
+from orchestrator import recorder
+
+flush, flushes = h5py.File.flush, []
+
+
+def fails_once(file):
+    flushes.append(file)
+    if len(flushes) == 6:
+        raise RuntimeError("can't flush file")
+    flush(file)
+
+
+h5py.File.flush, recorder.FLUSH_SECONDS = fails_once, 0.0
+try:
+    orch.run("mine.toml", output="run.h5")
+except orch.RunError as error:
+    print(error)
+with orch.open_run("run.h5") as run:
+    print(run.status, len(run.time), len(run["vehicle.eta.x"]))
+""")
+    assert answer.out == "run.h5: run.h5 cannot be written: can't flush file\nfailed 4 4\n", answer.err
+
+
 def test_a_full_disk_in_python_is_a_run_error_and_other_runs_follow(python, write, models):
     write(single("waves", stop_time=5.0, step=1e-3))
     answer = python("""
