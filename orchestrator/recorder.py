@@ -154,14 +154,14 @@ class Recorder:
             restate(self.file, {"status": status})
         with self._writing():
             self.file.close()
-            _cut(self.path)
+            with self.path.open("r+b") as file:
+                file.seek(STATED_END)
+                file.truncate(int.from_bytes(file.read(8), "little"))
 
     def abandon(self) -> None:
         """Let go of a file that can no longer be written; what was flushed stays readable."""
         with contextlib.suppress(Exception):
             self.file.close()
-        with contextlib.suppress(OSError):
-            _cut(self.path)
 
     @contextlib.contextmanager
     def _room(self, size: int) -> Iterator[None]:
@@ -275,13 +275,6 @@ def _stated_end(descriptor: int) -> int:
 def _state_end(descriptor: int, end: int) -> None:
     if STATES:
         os.pwrite(descriptor, end.to_bytes(8, "little"), STATED_END)
-
-
-def _cut(path: Path) -> None:
-    """Make a closed file as long as it states: HDF5 does not open a shorter one."""
-    with path.open("r+b") as file:
-        file.seek(STATED_END)
-        file.truncate(int.from_bytes(file.read(8), "little"))
 
 
 def _cannot_write(path: Path, error: BaseException) -> StoreError:
