@@ -13,7 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import OrchError, StoreError
+from .errors import OrchError
+from .files import write_text
 from .variables import split_axis
 
 if TYPE_CHECKING:
@@ -51,12 +52,7 @@ def write(plan: Plan, target: Path) -> Path:
     if target.suffix.lower() not in forms:
         raise OrchError(f"{target}: a diagram is written as .svg, .mmd or .md (Mermaid)")
     text = forms[target.suffix.lower()](plan.resolved, feedback(plan))
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror}") from None
-    return target
+    return write_text(target, text)
 
 
 def feedback(plan: Plan) -> set[str]:

@@ -26,7 +26,6 @@ CO_SIMULATION = 1  # fmi2Type
 LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 
 
-
 class CallFailed(Exception):
     """An FMI call that gave an error.  `.status`: DISCARD, ERROR or FATAL."""
 

@@ -5,7 +5,6 @@ The same run gives the same bytes: a file holds what decided the numbers, and no
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OrchError, StoreError
-from ..store import first_line
+from ..files import replacing
 
 if TYPE_CHECKING:
     from ..store import Run
@@ -63,16 +62,8 @@ def export(run: Run, form: str, target: Path) -> Path:
     from .content import read
 
     write: Callable[[Content, Path], None] = importlib.import_module(f".as_{form}", __name__).write
-    half = target.with_name(f"{target.name}.part")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as half:
         write(read(run), half)
-        half.replace(target)
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror or first_line(error)}") from None
-    finally:
-        with contextlib.suppress(OSError):  # it has its name by now, or never had one
-            half.unlink()
     return target
 
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 from ..diagram import diagram
 from ..differences import differences
-from ..errors import OrchError, StoreError
+from ..errors import OrchError
+from ..files import write_text
 from ..vehicles import vehicles
 from . import curves, facts, scene
 from .colours import colours
@@ -30,12 +31,7 @@ SCRIPTS = ("core.js", "plots.js", "body.js", "scene.js", "replay.js")  # in this
 def write(runs: Sequence[Run], target: Path) -> Path:
     """Write the report of runs.  Raises OrchError without plotly, StoreError where the file cannot be written."""
     text = page(runs)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror}") from None
-    return target
+    return write_text(target, text)
 
 
 def page(runs: Sequence[Run]) -> str:

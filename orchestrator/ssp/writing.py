@@ -6,7 +6,6 @@ annotation, so that import gives the same experiment back.  The same plan gives 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import re
 import zipfile
@@ -15,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..errors import OrchError, StoreError
+from ..errors import OrchError
+from ..files import replacing
 from ..fmu import Fmu
 from ..plan import Link, Part, Plan
 from ..units import BASE, Unit
@@ -36,19 +36,10 @@ def export(plan: Plan, target: Path) -> Path:
         description = _Writer(plan, sources).text()
     except ValueError as error:  # of lxml: a control character in a text
         raise OrchError(f"{plan.experiment.path} cannot become an SSP: {error}") from None
-    half = target.with_name(f"{target.name}.part")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with zipfile.ZipFile(half, "w") as archive:
-            archive.writestr(_entry(DESCRIPTION, zipfile.ZIP_DEFLATED), description)
-            for fmu in {part.fmu.sha256: part.fmu for part in plan.parts}.values():
-                archive.writestr(_entry(sources[fmu.sha256], zipfile.ZIP_STORED), fmu.path.read_bytes())
-        half.replace(target)
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror or error}") from None
-    finally:
-        with contextlib.suppress(OSError):  # it has its name by now, or never had one
-            half.unlink()
+    with replacing(target) as half, zipfile.ZipFile(half, "w") as archive:
+        archive.writestr(_entry(DESCRIPTION, zipfile.ZIP_DEFLATED), description)
+        for fmu in {part.fmu.sha256: part.fmu for part in plan.parts}.values():
+            archive.writestr(_entry(sources[fmu.sha256], zipfile.ZIP_STORED), fmu.path.read_bytes())
     return target
 
 

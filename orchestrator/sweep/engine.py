@@ -9,9 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +18,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import OrchError, StoreError
+from ..loop import Interrupt
+from ..master import interruptible
 from ..provenance import git_commit
 from . import cluster, table, warm, worker
 from .design import Run
@@ -77,7 +77,7 @@ def sweep(
     storage = Storage(job.folder)
     runs = study.design.runs()
     ended = Ended(study, runs, storage)
-    with locked(storage), ctrl_c() as pressed:
+    with locked(storage), interruptible() as pressed:
         lay_out(study, storage)
         try:
             with cluster.client(scheduler, workers) as client:
@@ -94,7 +94,7 @@ def sweep(
     return ended
 
 
-def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: threading.Event, told: Told) -> None:
+def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: Interrupt, told: Told) -> None:
     """Keep every worker busy until all runs have ended."""
     from distributed import wait
     from distributed.scheduler import KilledWorker
@@ -189,17 +189,3 @@ def locked(storage: Storage) -> Iterator[None]:
         file.write(str(os.getpid()))
         file.flush()
         yield
-
-
-@contextlib.contextmanager
-def ctrl_c() -> Iterator[threading.Event]:
-    """Set by Ctrl-C."""
-    pressed = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: pressed.set())
-    try:
-        yield pressed
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -8,7 +8,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from ..errors import StoreError
+from ..files import write_text
 from . import plots, tables
 from .analysis import Analysis
 
@@ -57,12 +57,7 @@ def write(analysis: Analysis, target: Path) -> Path:
              f"<pre>{escape(json.dumps(table.description['fmus'], indent=1))}</pre><h3>Experiment</h3>"
              f"<pre>{escape(table.description['experiment_toml'])}</pre>",
     )  # fmt: skip
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror}") from None
-    return target
+    return write_text(target, text)
 
 
 def _svg(analysis: Analysis, kind: str) -> str:

@@ -13,7 +13,6 @@ import json
 import logging
 import math
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +21,8 @@ from typing import Any
 
 from ..errors import ExperimentError, OrchError, StoreError
 from ..experiment import load
+from ..loop import Interrupt
+from ..master import interruptible
 from ..provenance import git_commit
 from . import cluster, engine, search, study, worker
 from .design import Run
@@ -90,7 +91,7 @@ def tune(
     storage = Storage(str(folder))
     facts = {"git_commit": git_commit(made.experiment.path.parent), "command": json.dumps(sys.argv)}
     job = replace(made.job(results, facts), folder=storage.address, keep="metrics")
-    with engine.locked(storage), engine.ctrl_c() as pressed:
+    with engine.locked(storage), interruptible() as pressed:
         engine.lay_out(made, storage)
         with cluster.client(scheduler, workers) as client:
             if scheduler is None:
@@ -146,7 +147,7 @@ def _identity(made: Study, spec: Search) -> str:
 
 
 def _search(
-    client: Any, job: Job, made: Study, spec: Search, folder: Path, pressed: threading.Event, told: Told,
+    client: Any, job: Job, made: Study, spec: Search, folder: Path, pressed: Interrupt, told: Told,
     note: Callable[[str], None],
 ) -> list[Tuned]:  # fmt: skip
     """All controllers at once, each a sequence of trials."""
