@@ -45,8 +45,8 @@ class Alternations:
         self._threshold = np.full(n, -(NOISE**2))
         for member in system.members:
             for place, variable in zip(member.places, member.reals, strict=True):
-                if variable.limits is not None and variable.limits[0] * variable.limits[1] >= 0.0:
-                    low, high = variable.limits
+                low, high = variable.limits
+                if math.isfinite(high - low) and low * high >= 0.0:
                     middle[place] = (low + high) / 2
                     self._threshold[place] = -(((high - low) / 2 * (1 - 1e-9)) ** 2)
         self._middle = middle if middle.any() else None

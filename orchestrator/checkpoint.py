@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .archive import DAMAGED
-from .errors import FmuError, StoreError
+from .errors import FmuError, StoreError, no_such_file
 from .instance import CallFailed
 from .member import Member, MemberFailed
 
@@ -181,6 +181,8 @@ def open_checkpoint(path: str | Path) -> Checkpoint:
             values = archive.read(VALUES)
             components = json.loads(values)
             states = [archive.read(f"states/{number}") for number in range(len(components))]
+    except FileNotFoundError:
+        raise StoreError(f"{path}: {no_such_file(path, '.checkpoint')}") from None
     except OSError as error:
         raise StoreError(f"{path} cannot be read: {error.strerror or error}") from None
     except zipfile.BadZipFile as error:

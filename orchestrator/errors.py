@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from .store import Run
 
 
@@ -71,3 +73,9 @@ def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:
         return f"{hint} there is none" if near else ""
     shown = ", ".join(choices[:12]) + (", ..." if len(choices) > 12 else "")
     return f"{hint} {what}: {shown}"
+
+
+def no_such_file(path: Path, suffix: str, otherwise: Path | None = None) -> str:
+    """What to say of a file that is not there: which files with that suffix are, beside it or `otherwise`."""
+    folder = path.parent if path.parent.is_dir() or not otherwise else otherwise
+    return f"no such file{did_you_mean(path.name, sorted(p.name for p in folder.glob(f'*{suffix}')), f'in {folder}')}"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from . import bounds
-from .errors import ExperimentError, Problem, did_you_mean
+from .errors import ExperimentError, Problem, did_you_mean, no_such_file
 from .grid import EXACT, Grid
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
@@ -98,7 +98,7 @@ def load(path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[s
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ExperimentError(path, [Problem("", _no_such_file(path))]) from None
+        raise ExperimentError(path, [Problem("", no_such_file(path, ".toml", Path("experiments")))]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ExperimentError(path, [Problem("", f"cannot be read as TOML: {error}")]) from None
     return parse(path, text, set, swap)
@@ -341,8 +341,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(below) for below in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def _no_such_file(path: Path) -> str:
-    folder = path.parent if path.parent.is_dir() else Path("experiments")
-    return f"no such file{did_you_mean(path.name, sorted(p.name for p in folder.glob('*.toml')), f'in {folder}')}"

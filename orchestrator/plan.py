@@ -70,6 +70,18 @@ class Plan:
     origin: Checkpoint | None = None  # where it goes on from; None: from the beginning
 
     @property
+    def beyond_limits(self) -> list[str]:
+        """Sentences on the values that lie beyond what their FMU declares as min and max."""
+        return [
+            f"{part.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
+            for part in self.parts
+            for name, value in [*part.parameters.items(), *part.start.items()]
+            for low, high in [part.fmu.variables[name].limits]
+            for side, limit, which in [("below", low, "min"), ("above", high, "max")]
+            if isinstance(value, (int, float)) and (value < low if which == "min" else value > high)
+        ]
+
+    @property
     def first(self) -> int:
         """The tick at which the run begins."""
         return self.origin.tick if self.origin else 0

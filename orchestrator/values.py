@@ -90,6 +90,9 @@ def _typed(variable: Variable, value: Any) -> Any:
         return items[value]
     if isinstance(value, bool):
         raise ValueError(what)
+    if variable.items and isinstance(value, int) and value not in (number for _, number in variable.items):
+        known = ", ".join(f"{name} = {number}" for name, number in variable.items)
+        raise ValueError(f"{variable.name}: no item {value}; it has {known}")
     if kind in FLOATS and isinstance(value, (int, float)):
         if not math.isfinite(value):
             raise ValueError(f"{variable.name} is {value}; give a finite number")

@@ -49,7 +49,7 @@ class Variable:
     description: str = ""
     depends: tuple[str, ...] | None = ()  # of an output: the inputs of the same instant it depends on; None: all
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
-    limits: tuple[float, float] | None = None  # of a float: min and max
+    limits: tuple[float, float] = (-math.inf, math.inf)  # min and max
     shape: tuple[int, ...] = ()  # of the array it is an element of
     element: int = 0  # its place in that array, row by row
     fixed: bool = False  # a constant, or a parameter that cannot be set
@@ -99,7 +99,7 @@ def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
             v.name, v.valueReference, v.type, TYPES[version][v.type], v.causality or "local",
             v.unit or (declared.unit if declared is not None else None) or "", v.start, v.description or "", depends,
             tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
-            _limits(v, TYPES[version][v.type]), fixed=v.variability == "constant",
+            (_limit(v, "min", -math.inf), _limit(v, "max", math.inf)), fixed=v.variability == "constant",
         )  # fmt: skip
         yield from _elements(whole, v, structure) if v.dimensions else (whole,)
 
@@ -120,10 +120,13 @@ def _elements(whole: Variable, v: Any, structure: Mapping[str, int]) -> Iterator
         )  # fmt: skip
 
 
-def _limits(variable: Any, kind: str) -> tuple[float, float] | None:
-    if kind not in FLOATS or variable.min is None or variable.max is None or variable.dimensions:
-        return None
-    return float(variable.min), float(variable.max)
+def _limit(variable: Any, which: str, otherwise: float) -> float:
+    """Its min or max, or its type's; otherwise where it has none, or one for each element."""
+    own = getattr(variable, which)
+    try:
+        return float(own if own is not None or variable.declaredType is None else getattr(variable.declaredType, which))
+    except (TypeError, ValueError):
+        return otherwise
 
 
 def split_axis(name: str) -> tuple[str, str]:

@@ -487,9 +487,10 @@ PROBE_VARIABLES = (
 )
 
 
-def variable_xml(reference, name, kind, causality, start=None, unit=None, description=""):
+def variable_xml(reference, name, kind, causality, start=None, unit=None, description="", low=None, high=None):
     """A ScalarVariable of modelDescription.xml."""
-    attributes = {"start": start, "unit": unit, "declaredType": "Level" if kind == "Enumeration" else None}
+    attributes = {"start": start, "unit": unit, "min": low, "max": high,
+                  "declaredType": "Level" if kind == "Enumeration" else None}  # fmt: skip
     given = " ".join(f'{key}="{value}"' for key, value in attributes.items() if value is not None)
     variability = "fixed" if causality == "parameter" else "continuous" if kind == "Real" else "discrete"
     return (f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '

@@ -228,7 +228,7 @@ def test_without_its_checkpoint_a_record_cannot_be_repeated_and_says_so(orch, sp
     (tmp_path / checkpoint).unlink()
     answer = orch("rerun", run_id, "--verify")
     assert answer.code == 2
-    assert f"{Path(checkpoint).name} cannot be read: No such file" in answer.err
+    assert f"{Path(checkpoint).name}: no such file; did you mean {Path(other['checkpoints'][0]).name!r}?" in answer.err
     (tmp_path / checkpoint).write_bytes(kept)
     assert orch("rerun", run_id, "--verify").code == 0
 

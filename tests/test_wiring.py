@@ -5,7 +5,17 @@ import struct
 import zipfile
 
 import pytest
-from conftest import PROBE_VARIABLES, description_xml, merged, paper_fmu, write_zip
+from conftest import (
+    PROBE,
+    PROBE_VARIABLES,
+    compile_fmu,
+    description_xml,
+    merged,
+    needs_compiler,
+    paper_fmu,
+    single,
+    write_zip,
+)
 
 
 @pytest.fixture
@@ -336,6 +346,42 @@ def test_a_start_value_of_the_wrong_type_is_refused(problems, two, start, words)
     found = problems(table)
     assert len(found) == 1, found
     assert words in found[0][1]
+
+
+def test_an_enumeration_takes_the_numbers_of_its_items_only(resolve, problems, two):
+    level = [*PROBE_VARIABLES, ("choice", "Enumeration", "parameter", "1", None, "a level")]
+    for given in (7, "high"):
+        plan = resolve(two(a=level, **{"components.a.parameters": {"choice": given}}))
+        assert plan.parts[0].parameters["choice"] == 7
+    ((_, sentence),) = problems(two(a=level, **{"components.a.parameters": {"choice": 3}}))
+    assert sentence == "choice: no item 3; it has low = 1, high = 7"
+
+
+@needs_compiler
+def test_a_run_warns_of_values_beyond_what_an_fmu_declares(orch, write, tmp_path):
+    limited = [(*v, "0", "0.01") if v[0] == "at" else v for v in PROBE_VARIABLES]
+    path = write(single(compile_fmu(tmp_path / "probe.fmu", PROBE, limited), at=0.5))
+    answer = orch("run", path, "--json")
+    assert (answer.code, answer.json["status"]) == (0, "completed")
+    assert answer.json["warnings"] == ["one: at = 0.5 is above 0.01, the max that its FMU declares"]
+
+
+def test_check_notes_values_beyond_what_an_fmu_declares(orch, write, two):
+    limited = [
+        *PROBE_VARIABLES,
+        ("m", "Real", "parameter", "1", None, "at least nothing", "0"),
+        ("n", "Integer", "parameter", "1", None, "a few", "1", "3"),
+    ]
+    told = {"n": 4, "m": -0.5}
+    path = write(two(a=limited, **{"components.a.parameters": told}))
+    sentences = [
+        "a: m = -0.5 is below 0, the min that its FMU declares",
+        "a: n = 4 is above 3, the max that its FMU declares",
+    ]
+    assert sorted(orch("check", path, "--json").json["notes"]) == sentences
+    assert f"note: {sentences[0]}" in orch("check", path).out
+    write(two(a=limited, **{"components.a.parameters": {"m": 0, "n": 3}}))
+    assert orch("check", path, "--json").json["notes"] == []
 
 
 def test_a_matrix_parameter_takes_a_list_of_rows(resolve, problems, two):

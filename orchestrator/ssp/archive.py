@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import archive as archives
-from ..errors import ExperimentError, FmuError, OrchError, Problem
+from ..errors import ExperimentError, FmuError, OrchError, Problem, no_such_file
 from .names import DESCRIPTION
 
 
@@ -30,6 +30,8 @@ class Archive:
     @contextlib.contextmanager
     def open(cls, path: Path) -> Iterator[Archive]:
         """Raises ExperimentError where it is no archive, a dangerous one, or holds no system."""
+        if not path.exists():
+            raise _failure(path, no_such_file(path, ".ssp"))
         with contextlib.ExitStack() as stack:
             try:
                 archive = stack.enter_context(archives.opened(path))
