@@ -134,12 +134,12 @@ def read(path: str) -> dict[str, Any]:
     """Facts of one record, from the file; none where it is gone."""
     import h5py
 
-    from .store import UNREADABLE, first_line
+    from .locks import FORMAT, UNREADABLE, first_line
 
     try:
         with h5py.File(path, "r", locking=False) as file:
             found = {name: _plain(value) for name, value in file.attrs.items() if name != "model_descriptions"}
-        if found["format"] != "orch-run":
+        if found["format"] != FORMAT:
             raise KeyError("it is no record")
         resolved = json.loads(found["experiment_resolved"])
         facts = {name: found[name] for name in PLAIN if name in found}
@@ -167,7 +167,7 @@ def _plain(value: Any) -> Any:
 
 
 def _status_of_running(path: str) -> str:
-    from .store import is_locked
+    from .locks import is_locked
 
     return "running" if is_locked(Path(path)) else "interrupted (killed)"
 

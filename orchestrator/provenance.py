@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .locks import FORMAT, FORMAT_VERSION
 from .plan import Plan
-from .store import FORMAT, FORMAT_VERSION
 
 PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from . import index
-from .store import is_locked, is_taken
+from .locks import is_locked, is_taken
 
 YOUNG = 60.0  # s: a file that says nothing may still be one that begins
 

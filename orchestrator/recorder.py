@@ -23,12 +23,13 @@ import numpy as np
 from .errors import StoreError
 from .hdf5 import LIBVER, describe, image_of, in_memory, restate
 from .layout import TIME, Signal, attach_scales, image, signals_of
+from .locks import being_written, first_line, patiently
 from .loop import Block
 from .master import Outcome
 from .metrics import finite
 from .plan import Plan
 from .provenance import attributes_of
-from .store import HEARD, being_written, first_line, patiently
+from .store import HEARD
 from .variables import DTYPES
 
 FLUSH_SECONDS = 1.0

@@ -15,12 +15,13 @@ import h5py
 from . import branching, metrics
 from . import experiment as experiments
 from .errors import RunError, StoreError
+from .locks import UNREADABLE, being_written, is_taken
 from .master import Observer, Outcome, interruptible
 from .master import run as run_master
 from .plan import Plan
 from .recorder import Recorder
 from .saver import Saver, ticks_of
-from .store import ID_LENGTH, UNREADABLE, Run, Store, being_written, is_taken
+from .store import ID_LENGTH, Run, Store
 from .system import Context, System
 from .wiring import prepare
 

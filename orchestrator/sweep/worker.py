@@ -15,11 +15,11 @@ from typing import Any
 import h5py
 
 from ..errors import OrchError
+from ..locks import UNREADABLE
 from ..loop import Interrupt
 from ..metrics import finite
 from ..plan import Plan
 from ..provenance import versions
-from ..store import UNREADABLE
 from ..store import Run as Record
 from ..wiring import resolve
 from . import warm
