@@ -1,32 +1,18 @@
-"""The table of runs of a sweep: draws of the distributions, crossed with every value of every list.
-
-A draw belongs to a key: its stream of numbers is seeded by the sweep's seed and the key, so it depends neither on the
-order of the keys in the file nor on the other keys.  With "random" and "sobol" draw k is the same however many there
-are; "lhs" needs their number.
-"""
+"""The table of runs of a sweep: draws of the distributions, crossed with every value of every list."""
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from ..errors import Problem, did_you_mean
 from ..experiment import split_key
+from . import sampling
+from .sampling import DESIGNS, Vector
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
-DESIGNS = ("random", "lhs", "sobol")
 KEEP = ("full", "decimated", "metrics")
 DISTRIBUTIONS = {  # {name: the keys it needs}
     "uniform": ("low", "high"),
@@ -37,11 +23,6 @@ DISTRIBUTIONS = {  # {name: the keys it needs}
     "direction": ("axes", "low", "high"),
 }
 KEYS = ("draws", "skip", "design", "seed", "keep", "vary", "zip", "tune")
-TINY = 2.0**-54
-
-
-class Vector(dict[str, float]):
-    """A drawn value with axes."""
 
 
 def cells_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,24 +73,13 @@ class Design:
 
     def runs(self) -> list[Run]:
         """Draw by draw, every combination of the lists."""
-        numbers = self.sample(self.skip + self.draws)
+        numbers = sampling.draw(self.distributions, self.method, self.skip + self.draws, self.seed)
         found: list[Run] = []
         combinations = self.combinations
         for draw in range(self.skip, self.skip + self.draws):
             drawn = {key: numbers[key][draw] for key in self.distributions}
             found += [Run(len(found) + i, draw, {**c, **drawn}) for i, c in enumerate(combinations)]
         return found
-
-    def sample(self, draws: int) -> dict[str, list[Any]]:
-        """{key: values of the draws}."""
-        keys = sorted(self.distributions)
-        coordinates = {key: _coordinates(self.distributions[key]) for key in keys}
-        names = [f"{key}/{i}" for key in keys for i in range(coordinates[key])]
-        columns = dict(zip(names, _SAMPLERS[self.method](names, draws, self.seed), strict=True))
-        return {
-            key: _values(self.distributions[key], [columns[f"{key}/{i}"] for i in range(coordinates[key])])
-            for key in keys
-        }
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -293,73 +263,3 @@ class _Reader:
 
 def _repeated(values: Sequence[Any]) -> Any:
     return next((value for i, value in enumerate(values) if value in values[:i]), None)
-
-
-def _coordinates(table: Mapping[str, Any]) -> int:
-    """How many numbers in (0, 1) one draw of a distribution takes."""
-    return len(table["axes"]) if table["distribution"] == "direction" else 1
-
-
-def _raw(name: str, seed: int) -> Callable[[int], Array]:
-    """The stream of a name: n numbers in (0, 1).  Of numpy only what it promises to keep: seeding and raw bits."""
-    entropy = int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest(), "big")
-    bits = np.random.PCG64(entropy)
-    return lambda n: ((bits.random_raw(n) >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
-
-
-def _random(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
-    return (_raw(name, seed)(n) for name in names)
-
-
-def _lhs(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
-    """One number in each of n equal cells, the cells of each name in an order of its own."""
-    for name in names:
-        stream = _raw(name, seed)
-        order = np.argsort(np.argsort(stream(n), kind="stable"), kind="stable")
-        yield (order + stream(n)) / n
-
-
-def _sobol(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
-    """Scrambled Sobol points, one dimension a name."""
-    if not names:
-        return iter(())
-    from scipy.stats import qmc
-
-    entropy = int.from_bytes(hashlib.sha256(f"{seed}/sobol".encode()).digest(), "big")
-    engine = qmc.Sobol(len(names), scramble=True, rng=np.random.Generator(np.random.PCG64(entropy)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # n may be any number; `notes` says what balances best
-        points = engine.random(n)
-    return iter(np.clip(points, TINY, 1 - TINY).T)
-
-
-_SAMPLERS: dict[str, Callable[[Sequence[str], int, int], Iterator[Array]]] = {
-    "random": _random, "lhs": _lhs, "sobol": _sobol,
-}  # fmt: skip
-
-
-def _values(table: Mapping[str, Any], columns: Sequence[Array]) -> list[Any]:
-    """Draws of a distribution, by its inverse from numbers in (0, 1)."""
-    u = columns[0].tolist()
-    match table["distribution"]:
-        case "uniform":
-            return [table["low"] + p * (table["high"] - table["low"]) for p in u]
-        case "loguniform":
-            low, high = math.log(table["low"]), math.log(table["high"])
-            return [math.exp(low + p * (high - low)) for p in u]
-        case "normal":
-            normal = NormalDist(table["mean"], table["std"])
-            return [normal.inv_cdf(p) for p in u]
-        case "integer":
-            return [table["low"] + int(p * (table["high"] - table["low"] + 1)) for p in u]
-        case "choice":
-            return [table["values"][int(p * len(table["values"]))] for p in u]
-    return [_direction(table, list(p)) for p in zip(*(column.tolist() for column in columns), strict=True)]
-
-
-def _direction(table: Mapping[str, Any], p: Sequence[float]) -> Vector:
-    """A vector in any direction, its length uniform from low to high."""
-    length, angle = table["low"] + p[0] * (table["high"] - table["low"]), 2 * math.pi * p[1]
-    height = 2 * p[2] - 1 if len(p) == 3 else 0.0  # Archimedes: uniform on the sphere
-    flat = length * math.sqrt(1 - height * height)
-    return Vector(zip(table["axes"], (flat * math.cos(angle), flat * math.sin(angle), length * height), strict=False))
