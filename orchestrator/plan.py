@@ -82,6 +82,15 @@ class Plan:
         ]
 
     @property
+    def cautions(self) -> list[str]:
+        """Sentences on what is allowed and hardly meant."""
+        begin, end = self.first * self.experiment.master.step, self.experiment.master.stop_time
+        windows = {name: (m.get("after", begin), m.get("before", end)) for name, m in self.experiment.metrics.items()}
+        outside = [name for name, (after, before) in windows.items() if after > end or before < begin]
+        empty = f"no sample falls into the window of {', '.join(outside)}: the run goes from {begin:g} to {end:g} s"
+        return [*self.beyond_limits, *([empty] if outside else [])]
+
+    @property
     def first(self) -> int:
         """The tick at which the run begins."""
         return self.origin.tick if self.origin else 0

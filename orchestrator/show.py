@@ -165,7 +165,7 @@ def plan(plan: Plan) -> str:
         f"{plan.experiment.path}: no problems",
         f"  {master.stop_time:g} s in {plan.steps} steps of {master.step:g} s, {master.algorithm}; {scalars}",
         f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
-        *(f"  note: {note}" for note in [*plan.notes, *plan.beyond_limits]),
+        *(f"  note: {note}" for note in [*plan.notes, *plan.cautions]),
         *(line for cycle in cycles(plan) for line in _cycle(plan, cycle)),
         "",
         *columns_of(system_table.components(plan), indent=2),
@@ -190,7 +190,7 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
         for cycle in cycles(plan)
     ]  # fmt: skip
     return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, "cycles": found,
-            "notes": [*plan.notes, *plan.beyond_limits], **plan.resolved}  # fmt: skip
+            "notes": [*plan.notes, *plan.cautions], **plan.resolved}  # fmt: skip
 
 
 def fmus(found: Sequence[Fmu]) -> str:

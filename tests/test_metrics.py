@@ -138,6 +138,13 @@ def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path)
     assert lines["nowhere"][:4] == ["no", "sample", "in", "its"]
 
 
+def test_check_notes_a_window_that_no_sample_falls_into(orch, write, waves):
+    window = {"of": "rms", "signal": "one.ramp"}
+    path = write(merged(waves, {"metrics": {"late": {**window, "after": 0.2}, "last": {**window, "after": 0.1}}}))
+    answer = orch("check", path, "--json")
+    assert answer.json["notes"] == ["no sample falls into the window of late: the run goes from 0 to 0.1 s"]
+
+
 @pytest.mark.parametrize(("spec", "key", "words"), [
     ({"signal": "one.ramp"}, "of", "is missing; known: rmse"),
     ({"of": "rsm", "signal": "one.ramp"}, "of", "no metric 'rsm'; did you mean 'rms'"),

@@ -50,6 +50,13 @@ def test_every_controller_meets_the_same_draws(orch, sweep, write):
         assert {**one["values"], FMU: ""} == {**other["values"], FMU: ""}
 
 
+def test_a_sweep_whose_metrics_would_stay_empty_says_so_before_it_begins(orch, sweep, write):
+    sweep["metrics"]["rmse_x"]["after"] = 7.0
+    answer = orch("sweep", write(sweep), "--dry-run")
+    assert "note: no sample falls into the window of rmse_x: the run goes from 0 to 0.05 s" in answer.err
+    assert "rms_T1" not in answer.err
+
+
 @pytest.mark.parametrize("method", ["random", "sobol"])
 def test_more_draws_begin_with_the_same_ones(method):
     assert design_of(design=method, draws=64)[:16] == design_of(design=method)

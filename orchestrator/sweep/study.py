@@ -116,7 +116,8 @@ def prepare(
     deciding = {"runs": [plan.digest for plan in plans], **design.identity}
     text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
     sweep_id = hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
-    notes = list(dict.fromkeys([*_dropped(experiment, design), *_balance(design)]))
+    cautions = (caution for plan in plans for caution in plan.cautions)
+    notes = list(dict.fromkeys([*_dropped(experiment, design), *_balance(design), *cautions]))
     return Study(experiment, design, sweep_id, fmus, files, _columns(plans), notes)
 
 
