@@ -53,6 +53,9 @@ def _head(root: Any, version: str) -> Iterator[str]:
     for element in root.findall("CoSimulation"):
         if not element.get("modelIdentifier"):
             yield "its CoSimulation has no modelIdentifier"
+        step = element.get("fixedInternalStepSize")
+        if step is not None and not 0.0 < (_number(step) or 0.0) < math.inf:
+            yield f"its fixedInternalStepSize is {_short(step)}"
     if len(root.findall("CoSimulation")) > 1:
         yield "it has several CoSimulation elements"
     if len(root.findall("ModelVariables")) != 1:

@@ -47,6 +47,7 @@ class Fmu:
     python_modules: Mapping[str, str]  # {top-level module a Python FMU brings: digest}
     description_xml: str  # modelDescription.xml
     initial_dependencies: Mapping[str, tuple[str, ...] | None]  # {output: inputs it depends on in initialization}
+    internal_step: float | None = None  # s; of FMI 3.0: fixedInternalStepSize
 
     @property
     def version(self) -> int:
@@ -133,6 +134,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         bool(slave.canBeInstantiatedOnlyOncePerProcess),
         {name: bool(getattr(slave, name)) for name in CAPABILITIES}, found, units.defined(description), modules, text,
         _initial_dependencies(description),
+        float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
     )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | No
     """Run the opened system to its end, to a failure, or until `interrupt` is set."""
     outcome, interrupt = Outcome("completed", system.plan.first), interrupt or Interrupt()
     try:
-        outcome.warnings += system.plan.beyond_limits
+        outcome.warnings += system.plan.warnings
         outcome.warnings += resume(system) if system.plan.origin else system.initialize()
         outcome.calculated = system.calculated()
         for observer in observers:

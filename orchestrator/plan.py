@@ -70,9 +70,9 @@ class Plan:
     origin: Checkpoint | None = None  # where it goes on from; None: from the beginning
 
     @property
-    def beyond_limits(self) -> list[str]:
-        """Sentences on the values that lie beyond what their FMU declares as min and max."""
-        return [
+    def warnings(self) -> list[str]:
+        """Sentences on what goes against what an FMU declares: its min and max, and its internal step."""
+        limits = [
             f"{part.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
             for part in self.parts
             for name, value in [*part.parameters.items(), *part.start.items()]
@@ -80,15 +80,23 @@ class Plan:
             for side, limit, which in [("below", low, "min"), ("above", high, "max")]
             if isinstance(value, (int, float)) and (value < low if which == "min" else value > high)
         ]
+        steps = [
+            f"{part.name}: steps every {step:g} s, no multiple of the {inner:g} s in which its FMU steps inside "
+            "(fixedInternalStepSize): what it gives may be late"
+            for part in self.parts
+            for step, inner in [(part.period * self.experiment.master.step, part.fmu.internal_step)]
+            if inner and abs(step / inner - max(1, round(step / inner))) > 1e-6
+        ]
+        return [*limits, *steps]
 
     @property
     def cautions(self) -> list[str]:
-        """Sentences on what is allowed and hardly meant."""
+        """Sentences on what is allowed and hardly meant: its warnings, and metrics that would stay empty."""
         begin, end = self.first * self.experiment.master.step, self.experiment.master.stop_time
         windows = {name: (m.get("after", begin), m.get("before", end)) for name, m in self.experiment.metrics.items()}
         outside = [name for name, (after, before) in windows.items() if after > end or before < begin]
         empty = f"no sample falls into the window of {', '.join(outside)}: the run goes from {begin:g} to {end:g} s"
-        return [*self.beyond_limits, *([empty] if outside else [])]
+        return [*self.warnings, *([empty] if outside else [])]
 
     @property
     def first(self) -> int:

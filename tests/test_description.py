@@ -83,6 +83,8 @@ def test_many_faults_are_told_at_once_and_not_all(fault):
     ("<UInt8", "<UInt9", "no type 'UInt9'; did you mean 'UInt8'?"),
     ('<Output valueReference="1"', '<Output valueReference="9"', "the value reference '9', which no variable has"),
     ('instantiationToken="{a}"', "", "it has no instantiationToken"),
+    *(('<CoSimulation ', f'<CoSimulation fixedInternalStepSize="{step}" ', f"fixedInternalStepSize is '{step}'")
+      for step in ("0", "-0.1", "quick", "INF", "NaN")),
 ])  # fmt: skip
 def test_what_fmi_3_does_not_allow_is_told(fault, old, new, words):
     assert old in XML3

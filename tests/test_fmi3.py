@@ -1,6 +1,7 @@
 """FMUs 3.0: every type, arrays, structural parameters, event mode, and how they fail."""
 
 import json
+import shutil
 import subprocess
 import zipfile
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import xarray
 from conftest import COMPILER, merged, needs_compiler
+from test_archive import with_description
 
 import orchestrator
 from orchestrator.fmu import platform_folder
@@ -22,7 +24,7 @@ INTEGERS = {"Int8": 8, "UInt8": 8, "Int16": 16, "UInt16": 16, "Int32": 32, "UInt
 TYPES = (*FLOATS, *INTEGERS, "Boolean")
 
 
-def description():
+def description(about=""):
     both = [("in", "input", 100), ("out", "output", 200)]
     lines = [
         '<UInt64 name="n" valueReference="1" causality="structuralParameter" variability="fixed" start="2"/>',
@@ -57,7 +59,7 @@ def description():
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="sponge" instantiationToken="{{sponge}}">
 <CoSimulation modelIdentifier="sponge" hasEventMode="true" mightReturnEarlyFromDoStep="true"
- canHandleVariableCommunicationStepSize="true"/>
+ canHandleVariableCommunicationStepSize="true" {about}/>
 <UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
 <TypeDefinitions><EnumerationType name="Choice"><Item name="dry" value="1"/><Item name="wet" value="7"/>
 </EnumerationType></TypeDefinitions>
@@ -168,6 +170,17 @@ def test_arrays_connect_whole_and_one_by_one_with_gain(run, sponge, algorithm, l
     assert record["part.Float32_out"].tolist() == [2.0] * 7
     if not loop:
         assert record.attributes["timing"]["loop"] == "compiled"
+
+
+@pytest.mark.parametrize(("inner", "notes"), [("0.0025", []), ("1e-2", []), ("0.004", ["late"]), ("0.02", ["late"])])
+def test_a_step_that_is_no_multiple_of_the_one_inside_is_told(orch, write, sponge, tmp_path, inner, notes):
+    path = tmp_path / "sponge.fmu"
+    shutil.copy(sponge, path)
+    with_description(path, description(f'fixedInternalStepSize="{inner}"'))
+    told = [f"one: steps every 0.01 s, no multiple of the {float(inner):g} s in which its FMU steps inside "
+            "(fixedInternalStepSize): what it gives may be late"] if notes else []  # fmt: skip
+    assert orch("check", write(alone(path)), "--json").json["notes"] == told
+    assert orch("run", write(alone(path)), "--json").json["warnings"] == told
 
 
 def test_a_number_too_wide_for_an_input_is_refused(orch, write, sponge):
