@@ -31,7 +31,7 @@ bench: $(VENV)/.installed-bench
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: $(VENV)/bin/python pyproject.toml setup.py orchestrator/_loop.c
+$(VENV)/.installed: $(VENV)/bin/python pyproject.toml setup.py orchestrator/simulation/_loop.c
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	touch $@
 

@@ -21,8 +21,8 @@ class BuildWithModels(build_py):
 
 
 LOOP = Extension(
-    "orchestrator._loop",
-    ["orchestrator/_loop.c"],
+    "orchestrator.simulation._loop",
+    ["orchestrator/simulation/_loop.c"],
     extra_compile_args=[] if os.name == "nt" else ["-std=c11", "-O3", "-funroll-loops", "-ffp-contract=off"],
     define_macros=[] if os.name == "nt" else [("_POSIX_C_SOURCE", "200809L")],
     py_limited_api=True,

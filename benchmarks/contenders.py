@@ -14,12 +14,12 @@ from pathlib import Path
 from limit import compile_limit
 from task import Task
 
-from orchestrator import experiment
-from orchestrator.compiler import find
-from orchestrator.grid import Grid
-from orchestrator.plan import Plan
-from orchestrator.store import Run
-from orchestrator.wiring import prepare
+from orchestrator.experiment import experiment
+from orchestrator.experiment.timegrid import Grid
+from orchestrator.models.compiler import find
+from orchestrator.plan.plan import Plan
+from orchestrator.plan.resolve import prepare
+from orchestrator.records.store.folder import Run
 
 HERE = Path(__file__).resolve().parent
 EXPERIMENT = HERE.parent / "experiments" / "gripping_currents.toml"
@@ -129,7 +129,7 @@ class Bench:
     def _run_orch(self, contender: Contender, task: Task, algorithm: str) -> Measured:
         record = self._folder / "record.h5"
         record.unlink(missing_ok=True)
-        command = [sys.executable, "-m", "orchestrator.cli", "run", str(self._experiment), "--quiet"]
+        command = [sys.executable, "-m", "orchestrator.cli.main", "run", str(self._experiment), "--quiet"]
         command += ["--packaging", contender.packaging, "--output", str(record)]
         for key, value in (("step", task.h), ("stop_time", task.time(task.steps)), ("algorithm", algorithm)):
             command += ["--set", f"master.{key}={json.dumps(value)}"]

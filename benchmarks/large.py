@@ -163,9 +163,11 @@ def _measure(vehicles: int, repeats: int, folder: Path, packaging: str) -> Measu
 
 def _measure_here(file: Path, began: float, packaging: str) -> None:
     """Run an experiment in this process and print the numbers of `Measured`.  began: when it was started [s]."""
-    from orchestrator import experiment, runner, wiring
     from orchestrator.errors import OrchError
-    from orchestrator.store import Run
+    from orchestrator.experiment import experiment
+    from orchestrator.plan import resolve
+    from orchestrator.records.store.folder import Run
+    from orchestrator.runs import runner
 
     class FirstRow:
         """Notes when the initial values are there."""
@@ -180,7 +182,7 @@ def _measure_here(file: Path, began: float, packaging: str) -> None:
 
     first_row = FirstRow()
     try:
-        plan = wiring.prepare(experiment.load(file), packaging=packaging)
+        plan = resolve.prepare(experiment.load(file), packaging=packaging)
         result = runner.execute(plan, file.with_suffix(".h5"), observers=[first_row])
     except OrchError as error:
         raise SystemExit(str(error)) from None
@@ -219,12 +221,13 @@ def _table(rows: Sequence[Measured], packaging: str) -> str:
 
 def _profile(file: Path, packaging: str) -> None:
     """Print what loading spends its time on: functions by their own time, then by the time within them."""
-    from orchestrator import experiment, wiring
-    from orchestrator.system import System
+    from orchestrator.experiment import experiment
+    from orchestrator.plan import resolve
+    from orchestrator.simulation.system import System
 
     profile = cProfile.Profile()
     with profile:
-        plan = wiring.prepare(experiment.load(file), packaging=packaging)
+        plan = resolve.prepare(experiment.load(file), packaging=packaging)
         with System.open(plan) as system:
             system.initialize()
     statistics_of = pstats.Stats(profile).strip_dirs()

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from task import Task, Variable
 
-from orchestrator import build
-from orchestrator.compiler import find
+from orchestrator.models import build
+from orchestrator.models.compiler import find
 
 MODEL = """\
 #undef CASADI_PREFIX

@@ -8,7 +8,7 @@ import platform
 import subprocess
 from pathlib import Path
 
-from orchestrator.compiler import find
+from orchestrator.models.compiler import find
 
 PACKAGES = ("orch", "numpy", "casadi", "pythonfmu", "fmpy", "libcosimpy", "ecospy")
 

@@ -67,7 +67,7 @@ def fill(store: Path, records: int) -> list[str]:
 
 def measure(store: Path, run_ids: list[str]) -> None:
     """Print seconds of whole processes: the first list, which fills the cache, and the best of the others."""
-    orch = [sys.executable, "-m", "orchestrator.cli"]
+    orch = [sys.executable, "-m", "orchestrator.cli.main"]
 
     def seconds(command: list[str]) -> float:
         words = [word.format(prefix=run_ids[0]) for word in command]

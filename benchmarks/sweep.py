@@ -17,11 +17,12 @@ import tempfile
 from pathlib import Path
 
 import orchestrator
-from orchestrator.sweep import engine, study, worker
-from orchestrator.sweep.storage import Storage
-from orchestrator.sweep.study import Study
-from orchestrator.sweep.table import TABLE
-from orchestrator.sweep.worker import Line
+from orchestrator.studies.sweep.design import study
+from orchestrator.studies.sweep.design.study import Study
+from orchestrator.studies.sweep.engine import scheduler, worker
+from orchestrator.studies.sweep.engine.storage import Storage
+from orchestrator.studies.sweep.engine.table import TABLE
+from orchestrator.studies.sweep.engine.worker import Line
 
 EXPERIMENT = Path(__file__).parent.parent / "experiments" / "sweep_currents.toml"
 CONTROLLERS = ["pid", "nstsmc", "ftsosmc"]
@@ -37,7 +38,7 @@ def prepare(draws: int, keep: str) -> Study:
 def swept(made: Study, workers: int) -> tuple[float, bytes]:
     """Seconds, and the table."""
     with tempfile.TemporaryDirectory() as folder:
-        ended = engine.sweep(made, folder, workers=workers)
+        ended = scheduler.sweep(made, folder, workers=workers)
         return ended.wall_time, ended.storage.read(TABLE)
 
 
@@ -45,7 +46,7 @@ def here(made: Study, folder: str, first: int, last: int) -> list[Line]:
     """Runs of a sweep in this process, as a worker runs them."""
     job = made.job(folder, {"git_commit": "", "command": "[]"})
     storage = Storage(job.folder)
-    engine.lay_out(made, storage)
+    scheduler.lay_out(made, storage)
     return worker.batch("", job, made.design.runs()[first:last], True)
 
 

@@ -49,7 +49,7 @@ class Task:
 
     @classmethod
     def of(cls, plan: Any) -> Task:
-        """The task that an `orchestrator.plan.Plan` is."""
+        """The task that an `orchestrator.plan.plan.Plan` is."""
 
         def variable(component: str, v: Any) -> Variable:
             return Variable(component, v.name, v.reference, v.kind)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from .errors import ExperimentError, FmuError, OrchError, RunError, StoreError
 
 if TYPE_CHECKING:
-    from .runner import run
-    from .store import Run, open_run
+    from .records.store.folder import Run, open_run
+    from .runs.runner import run
 
 __all__ = ["ExperimentError", "FmuError", "OrchError", "Run", "RunError", "StoreError", "open_run", "run"]
 __version__ = "0.1.0"
@@ -25,7 +25,7 @@ def __getattr__(name: str) -> Any:
     """Import the rest when it is asked for: the command line needs little of it, and fast."""
     import importlib
 
-    homes = {"run": "runner", "Run": "store", "open_run": "store"}
+    homes = {"run": "runs.runner", "Run": "records.store.folder", "open_run": "records.store.folder"}
     if name not in homes:
         raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
     return getattr(importlib.import_module(f".{homes[name]}", __name__), name)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .store import Run
+    from .records.store.folder import Run
 
 
 class OrchError(Exception):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .store import Run
+    from .records.store.folder import Run
 
     Array = NDArray[np.float64]
 

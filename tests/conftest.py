@@ -21,10 +21,10 @@ from types import SimpleNamespace
 import pytest
 
 import orchestrator
-from orchestrator import build
-from orchestrator.experiment import load
-from orchestrator.fmu import platform_folder
-from orchestrator.wiring import prepare
+from orchestrator.experiment.experiment import load
+from orchestrator.fmu.fmu import platform_folder
+from orchestrator.models import build
+from orchestrator.plan.resolve import prepare
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 ORCH = shutil.which("orch", path=sysconfig.get_path("scripts")) or "orch"

@@ -28,7 +28,8 @@ import warnings
 import zipfile
 from pathlib import Path
 
-from orchestrator import build, cli
+from orchestrator.cli import main as cli
+from orchestrator.models import build
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 LONGEST = 10.0  # s that a command may take

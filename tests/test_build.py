@@ -8,7 +8,7 @@ import pytest
 from conftest import EXPERIMENTS, MODELS, merged, single
 
 import orchestrator
-from orchestrator import build
+from orchestrator.models import build
 
 EXAMPLES = EXPERIMENTS.parent / "examples"
 SHIPPED = {"native", "python"} | {f"{name}.{kind}" for name in build.shipped() for kind in ("fmu", "json")}

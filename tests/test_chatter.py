@@ -2,7 +2,8 @@
 
 import pytest
 
-from orchestrator import build, open_run, run
+from orchestrator import open_run, run
+from orchestrator.models import build
 
 ALTERNATING = '''
 from uuv import Output, Parameter, PythonModel, Signal, State

@@ -11,7 +11,7 @@ import pytest
 from conftest import COMPILER, merged, needs_compiler, paper_fmu, single
 
 import orchestrator
-from orchestrator.fmu import platform_folder
+from orchestrator.fmu.fmu import platform_folder
 
 SOURCE = Path(__file__).parent / "c" / "bucket.c"
 ABLE = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"'

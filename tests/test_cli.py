@@ -43,7 +43,8 @@ def test_a_mistake_in_the_call_shows_the_usage(orch, arguments):
 
 def test_help_is_there_at_once():
     """Numbers, files and FMUs are imported by the commands that need them, for they take half a second."""
-    script = "import sys, orchestrator.cli\nprint({'numpy', 'h5py', 'fmpy', 'pandas', 'matplotlib'} & set(sys.modules))"
+    heavy = {"numpy", "h5py", "fmpy", "pandas", "matplotlib"}
+    script = f"import sys, orchestrator.cli.main\nprint({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
@@ -52,7 +53,7 @@ def test_a_check_needs_neither_records_nor_models(write, spiral, python):
     write(spiral)
     answer = python("""
 import sys
-from orchestrator.cli import orch
+from orchestrator.cli.main import orch
 
 orch(["check", "mine.toml"], standalone_mode=False)
 print({"h5py", "casadi", "pandas"} & set(sys.modules))
@@ -124,7 +125,7 @@ import importlib.util, sys
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *rest: None if name in ("xarray", "casadi", "ziglang") else find(name, *rest)
 sys.argv = ["orch", "doctor"]
-from orchestrator.cli import main
+from orchestrator.cli.main import main
 main()
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import orchestrator as orch
-from orchestrator import build
+from orchestrator.models import build
 
 EXPERIMENTS = build.experiments_folder()
 

@@ -13,8 +13,8 @@ import pytest
 from conftest import ORCH, merged, single, toml
 
 import orchestrator
-from orchestrator import latex
 from orchestrator.metrics import METRICS, smaller_is_better
+from orchestrator.views.tables import latex
 
 METRICS_OF_WAVES = {
     "far_x": {"of": "max_abs", "signal": "one.eta.x"},

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from orchestrator.converge import assess, observed_order
+from orchestrator.studies.convergence import assess, observed_order
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 4.0])

@@ -15,7 +15,7 @@ from conftest import needs_compiler
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from orchestrator import build
+from orchestrator.models import build
 
 FMUS = sorted(build.shipped())
 SMALLEST = 1e-300  # s; a step that no state of order 1 notices

@@ -3,7 +3,7 @@
 import pytest
 from conftest import EXPERIMENTS, merged
 
-from orchestrator.grid import Grid
+from orchestrator.experiment.timegrid import Grid
 
 FAULTS = {
     "titel": "a slip",

@@ -11,8 +11,8 @@ import pytest
 from conftest import EXPERIMENTS, ORCH, single, toml
 
 import orchestrator
-from orchestrator.export import foxglove
-from orchestrator.vehicles import AXES
+from orchestrator.records.compare.vehicles import AXES
+from orchestrator.views.export import foxglove
 
 FORMATS = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat", "netcdf": ".nc", "mcap": ".mcap"}
 LIBRARIES = {"parquet": "pyarrow", "mat": "scipy", "netcdf": "h5netcdf", "mcap": "mcap"}
@@ -155,7 +155,7 @@ def test_matlab_gets_columns_logicals_and_cells(export, mixed):
 
 def test_names_that_matlab_cannot_have_become_names_that_it_can():
     pytest.importorskip("scipy")
-    from orchestrator.export import as_mat
+    from orchestrator.views.export import as_mat
 
     taken = {"time"}
     names = ["eta.x", "eta_x", "T[1,2]", "1st", "end", "time", "größe", "a" * 70, "a" * 70]

@@ -374,7 +374,7 @@ def test_a_flush_that_fails_leaves_the_rows_before_it(python, write, spiral):
     answer = python("""
 import h5py
 import orchestrator as orch
-from orchestrator import recorder
+from orchestrator.records.file import recorder
 
 flush, flushes = h5py.File.flush, []
 

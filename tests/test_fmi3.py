@@ -15,7 +15,7 @@ from conftest import COMPILER, merged, needs_compiler
 from test_archive import with_description
 
 import orchestrator
-from orchestrator.fmu import platform_folder
+from orchestrator.fmu.fmu import platform_folder
 
 pytestmark = needs_compiler
 

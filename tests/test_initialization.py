@@ -6,7 +6,7 @@ import pytest
 from conftest import merged
 
 import orchestrator
-from orchestrator import build
+from orchestrator.models import build
 
 CURVE = '''
 import math

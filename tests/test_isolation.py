@@ -57,7 +57,7 @@ def left(tmp_path, monkeypatch):
                 environment = (process / "environ").read_bytes()
             except OSError:
                 continue
-            if b"orchestrator.child" in command and str(folder).encode() in environment:
+            if b"orchestrator.instances.isolated_child" in command and str(folder).encode() in environment:
                 found.append(b" ".join(command).decode())
         return found
 

@@ -67,7 +67,8 @@ def test_after_a_kill_between_any_two_writes_every_flushed_row_is_there(python, 
     write(merged(spiral, {"master.stop_time": 2.5, "record": record, "metrics": metrics}))
     answer = python("""
 import orchestrator as orch
-from orchestrator import master, recorder
+from orchestrator.records.file import recorder
+from orchestrator.simulation import master
 
 master.CHUNK_SECONDS = 1e9  # each chunk of steps is twice the last one
 recorder.FLUSH_SECONDS = 0.0  # after every chunk

@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner
 from conftest import ORCH, merged, poll, single
 
-from orchestrator import listing
-from orchestrator.cli import orch as cli
-from orchestrator.index import NAME
-from orchestrator.where import WhereError, parse
+from orchestrator.cli.main import orch as cli
+from orchestrator.records.store import filters
+from orchestrator.records.store.index import NAME
+from orchestrator.records.store.query import WhereError, parse
 
 RUN = {
     "run_id": "a1", "experiment": "spiral", "status": "completed", "step": 0.001, "seed": None,
@@ -273,7 +273,7 @@ def test_prune_leaves_a_record_that_a_process_has_begun_to_write(orch, store, tm
 def test_prune_leaves_what_has_replaced_a_record_since_it_was_listed(orch, store, tmp_path, monkeypatch):
     failed = tmp_path / listed(orch, "--status", "failed")[0]["file"]
     good = tmp_path / listed(orch, "--experiment", "sea")[0]["file"]
-    choose = listing.choose
+    choose = filters.choose
 
     def slowly(*arguments):
         found = choose(*arguments)
@@ -281,7 +281,7 @@ def test_prune_leaves_what_has_replaced_a_record_since_it_was_listed(orch, store
         os.replace(tmp_path / "new.h5", failed)
         return found
 
-    monkeypatch.setattr(listing, "choose", slowly)
+    monkeypatch.setattr(filters, "choose", slowly)
     monkeypatch.chdir(tmp_path)
     answer = CliRunner().invoke(cli, ["prune", "--status", "failed", "--yes"])
     assert "completed now" in str(answer.exception)

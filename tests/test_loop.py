@@ -14,8 +14,8 @@ import pytest
 from conftest import COMPILER, EXPERIMENTS, ORCH, merged, needs_compiler, poll, single, toml
 
 import orchestrator
-from orchestrator.grid import Grid
-from orchestrator.loop import extension
+from orchestrator.experiment.timegrid import Grid
+from orchestrator.simulation.loop import extension
 
 pytestmark = pytest.mark.skipif(extension() is None, reason="orch was installed without a C compiler")
 
@@ -207,8 +207,8 @@ def test_the_sanitizers_find_nothing_in_the_compiled_loop(shipped, spiral, probe
     shutil.copytree(package.parent / "fmus", tmp_path / "fmus", ignore=shutil.ignore_patterns("build", "__pycache__"))
     subprocess.run(
         [COMPILER, "-std=c11", *SANITIZE, "-D_POSIX_C_SOURCE=200809L", "-shared", "-fPIC",
-         f"-I{sysconfig.get_path('include')}", "-o", tmp_path / "orchestrator" / "_loop.abi3.so",
-         package / "_loop.c"], check=True)  # fmt: skip
+         f"-I{sysconfig.get_path('include')}", "-o", tmp_path / "orchestrator/simulation/_loop.abi3.so",
+         package / "simulation/_loop.c"], check=True)  # fmt: skip
     libraries = [
         subprocess.check_output([COMPILER, f"-print-file-name={name}"], text=True).strip()
         for name in ("libasan.so", "libubsan.so")
@@ -222,7 +222,7 @@ def test_the_sanitizers_find_nothing_in_the_compiled_loop(shipped, spiral, probe
     bad = {**single(probe, mode=2), "record": {"signals": ["!*.words", "!*.text"]}}
     for table, code in ((spiral, 0), (mixed, 0), (bad, 3)):
         path = write(table)
-        command = [sys.executable, "-m", "orchestrator.cli", "run", path, "--force"]
+        command = [sys.executable, "-m", "orchestrator.cli.main", "run", path, "--force"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
         assert "ERROR: AddressSanitizer" not in done.stderr
         assert "runtime error" not in done.stderr

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from orchestrator.errors import OrchError
-from orchestrator.mavlink.frame import FACTORS, Frame, t200_pwm, t200_thrust
-from orchestrator.mavlink.manual import MavlinkManual
-from orchestrator.mavlink.sample import rotation, to_earth, to_ned
+from orchestrator.mavlink.components.manual import MavlinkManual
+from orchestrator.mavlink.vehicle.frame import FACTORS, Frame, t200_pwm, t200_thrust
+from orchestrator.mavlink.vehicle.sample import rotation, to_earth, to_ned
 
 c = s = math.sqrt(0.5)
 SHIPPED = np.array(

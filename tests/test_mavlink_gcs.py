@@ -16,7 +16,7 @@ import pytest
 from conftest import EXPERIMENTS, ORCH
 from station import Station, close_to, free_port, named
 
-from orchestrator.mavlink.frame import FACTORS
+from orchestrator.mavlink.vehicle.frame import FACTORS
 
 GRIPPING = str(EXPERIMENTS / "gripping_currents.toml")
 MAVPROXY = shutil.which("mavproxy.py", path=sysconfig.get_path("scripts"))

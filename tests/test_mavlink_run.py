@@ -260,7 +260,7 @@ def test_samples_are_at_whole_milliseconds_where_the_step_is_none(run, spiral, w
 def test_what_a_deaf_client_leaves_is_dropped_as_whole_frames():
     from collections import Counter
 
-    from orchestrator.mavlink import links
+    from orchestrator.mavlink.protocol import links
 
     endpoint = links.Endpoint.parse(f"tcpin:127.0.0.1:{free_port(socket.SOCK_STREAM)}")
     counts = Counter()
@@ -291,7 +291,7 @@ def test_what_a_deaf_client_leaves_is_dropped_as_whole_frames():
 def test_who_comes_and_goes_is_heard_and_forgotten():
     from collections import Counter
 
-    from orchestrator.mavlink import links
+    from orchestrator.mavlink.protocol import links
 
     endpoint = links.Endpoint.parse(f"udpin:127.0.0.1:{free_port()}")
     counts = Counter()

@@ -15,13 +15,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from station import Station, free_port
 
 from orchestrator.errors import OrchError
-from orchestrator.mavlink import steering
-from orchestrator.mavlink.ardupilot import ArdupilotJson, reply
-from orchestrator.mavlink.autopilot import MODES, Autopilot
-from orchestrator.mavlink.control import Control, SetPoint, Stick
-from orchestrator.mavlink.manual import MavlinkManual
-from orchestrator.mavlink.parameters import Parameters
-from orchestrator.mavlink.sample import Sample
+from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply
+from orchestrator.mavlink.components.manual import MavlinkManual
+from orchestrator.mavlink.protocol import steering
+from orchestrator.mavlink.vehicle.autopilot import MODES, Autopilot
+from orchestrator.mavlink.vehicle.control import Control, SetPoint, Stick
+from orchestrator.mavlink.vehicle.parameters import Parameters
+from orchestrator.mavlink.vehicle.sample import Sample
 
 H = 0.01
 

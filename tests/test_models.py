@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orchestrator import build
+from orchestrator.models import build
 
 sys.path.insert(0, str(build.models_folder()))
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from conftest import needs_compiler
 
-from orchestrator import build
 from orchestrator.errors import FmuError
-from orchestrator.fmu import read
-from orchestrator.instance import CallFailed, Instance, Library
+from orchestrator.fmu.fmu import read
+from orchestrator.instances.fmi2 import CallFailed, Instance, Library
+from orchestrator.models import build
 
 FMUS = sorted(build.shipped())
 WITH_INPUTS = [name for name in FMUS if "reference" not in name and "current" not in name]

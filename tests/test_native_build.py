@@ -15,8 +15,8 @@ import pytest
 from conftest import COMPILER, EXPERIMENTS, MODELS, ORCH, needs_compiler
 
 import orchestrator
-from orchestrator import build
-from orchestrator.fmu import platform_folder, read
+from orchestrator.fmu.fmu import platform_folder, read
+from orchestrator.models import build
 
 SHIPPED = sorted(EXPERIMENTS.rglob("*.toml"))
 MODEL = "ocean_current"  # the smallest

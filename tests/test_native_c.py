@@ -9,7 +9,7 @@ import pytest
 from conftest import COMPILER, needs_compiler
 from fmpy.build import build_platform_binary
 
-from orchestrator import build
+from orchestrator.models import build
 
 FMUS = sorted(build.shipped())
 FAST = "bluerov2_thesis"  # has parameters, calculated ones, inputs, states and outputs

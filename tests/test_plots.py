@@ -12,8 +12,8 @@ from conftest import EXPERIMENTS
 
 import orchestrator
 from orchestrator.errors import OrchError, StoreError
-from orchestrator.plots import draw
-from orchestrator.vehicles import vehicles
+from orchestrator.records.compare.vehicles import vehicles
+from orchestrator.views.figures.figure import draw
 
 SVG = "{http://www.w3.org/2000/svg}"
 ONE = ["$x$ [m]", "$y$ [m]", "$z$ [m]", r"$\phi$ [deg]", r"$\theta$ [deg]", r"$\psi$ [deg]",

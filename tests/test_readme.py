@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from orchestrator import build
+from orchestrator.models import build
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -24,6 +24,7 @@ from conftest import (
 )
 
 import orchestrator
+from orchestrator.records.store.folder import Store
 
 ATTRIBUTES = {
     "format": str, "format_version": int, "run_id": str, "title": str, "status": str, "error": str, "created": str,
@@ -400,7 +401,7 @@ def test_rows_reach_the_disk_at_least_every_second(endless):
 
 def test_a_store_finds_a_record_by_id_prefix_file_and_last(orch, write, probe, tmp_path):
     ids = [orch("run", write(single(probe, at=at)), "--json").json["run_id"] for at in (1.0, 2.0)]
-    store = orchestrator.store.Store(tmp_path / "results")
+    store = Store(tmp_path / "results")
     os.utime(store.find(ids[0]), (0, 0))  # the clock of a file system is coarse
     assert store.find("last").stem == ids[1]
     shortest = next(n for n in range(1, 11) if ids[0][:n] != ids[1][:n])
@@ -410,7 +411,7 @@ def test_a_store_finds_a_record_by_id_prefix_file_and_last(orch, write, probe, t
 
 
 def test_a_store_says_what_it_does_not_have(orch, write, probe, tmp_path):
-    store = orchestrator.store.Store(tmp_path / "results")
+    store = Store(tmp_path / "results")
     with pytest.raises(orchestrator.StoreError, match="holds no record; run an experiment first"):
         store.find("last")
     run_id = orch("run", write(single(probe)), "--json").json["run_id"]
@@ -425,7 +426,7 @@ def test_a_store_ignores_folders_that_begin_with_an_underscore(orch, write, prob
     path = tmp_path / orch("run", write(single(probe)), "--json").json["file"]
     (tmp_path / "results" / "_thesis").mkdir()
     path.rename(tmp_path / "results" / "_thesis" / path.name)
-    assert orchestrator.store.Store(tmp_path / "results").records() == []
+    assert Store(tmp_path / "results").records() == []
 
 
 def test_a_clash_of_prefixes_lengthens_the_name(recorded, probe, tmp_path):

@@ -12,12 +12,12 @@ import pytest
 from conftest import EXPERIMENTS, poll
 
 import orchestrator
-from orchestrator.diagram import diagram
 from orchestrator.errors import OrchError
-from orchestrator.report import page as report
-from orchestrator.report.arrays import thin
-from orchestrator.report.scene import gripped
-from orchestrator.vehicles import vehicles
+from orchestrator.records.compare.vehicles import vehicles
+from orchestrator.views.figures.diagram import diagram
+from orchestrator.views.report import page as report
+from orchestrator.views.report.arrays import thin
+from orchestrator.views.report.scene import gripped
 
 pytest.importorskip("plotly")
 playwright = pytest.importorskip("playwright.sync_api")

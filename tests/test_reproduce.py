@@ -15,18 +15,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import workers
 from orchestrator.errors import OrchError
-from orchestrator.thesis import claims_gripping, reproduce
-from orchestrator.thesis import page as thesis_page
-from orchestrator.thesis import steps as thesis_steps
-from orchestrator.thesis import tables as thesis_tables
-from orchestrator.thesis.cases import CASES
-from orchestrator.thesis.claims import FAILS, HOLDS
-from orchestrator.thesis.drawing import KINDS, canvas
-from orchestrator.thesis.figures import FIGURES
-from orchestrator.thesis.signals import Track, body_velocity, rotation
-from orchestrator.thesis.tables import Verdict, judge, metric_name, published
+from orchestrator.studies import processes
+from orchestrator.studies.thesis import reproduce
+from orchestrator.studies.thesis.cases.chapter5 import CASES
+from orchestrator.studies.thesis.cases.signals import Track, body_velocity, rotation
+from orchestrator.studies.thesis.pages import index as thesis_page
+from orchestrator.studies.thesis.pages.drawing import KINDS, canvas
+from orchestrator.studies.thesis.pages.figures import FIGURES
+from orchestrator.studies.thesis.published import claims_gripping
+from orchestrator.studies.thesis.published import steps as thesis_steps
+from orchestrator.studies.thesis.published import tables as thesis_tables
+from orchestrator.studies.thesis.published.claims import FAILS, HOLDS
+from orchestrator.studies.thesis.published.tables import Verdict, judge, metric_name, published
 
 CELLS = [cell for cell in published() if cell.quantity != "mean"]
 MEANS = [cell for cell in published() if cell.quantity == "mean"]
@@ -350,13 +351,13 @@ def test_the_index_links_every_figure_relatively():
 
 
 def job(name, code, cost=1.0):
-    return workers.Job(name, ("-c", code), cost)
+    return processes.Job(name, ("-c", code), cost)
 
 
 def test_jobs_start_with_the_longest_and_tell_how_they_ended():
     told = []
     jobs = [job("short", "print('out')", 1), job("long", "import sys; sys.exit('why')", 9)]
-    done = workers.run_all(jobs, lambda running, ended: told.append((list(running), ended)), at_once=1)
+    done = processes.run_all(jobs, lambda running, ended: told.append((list(running), ended)), at_once=1)
     assert [(d.job.name, d.code) for d in done] == [("long", 1), ("short", 0)]
     assert (done[0].errors.strip(), done[1].output.strip()) == ("why", "out")
     assert told[0][0] == ["long"]
@@ -364,7 +365,8 @@ def test_jobs_start_with_the_longest_and_tell_how_they_ended():
 
 def test_an_interrupt_ends_every_child(tmp_path):
     child = f"import os, time, pathlib; pathlib.Path({str(tmp_path)!r}, str(os.getpid())).touch(); time.sleep(60)"
-    parent = (f"from orchestrator import workers\njobs = [workers.Job(str(k), ('-c', {child!r})) for k in range(3)]\n"
+    parent = ("from orchestrator.studies import processes as workers\n"
+              f"jobs = [workers.Job(str(k), ('-c', {child!r})) for k in range(3)]\n"
               "workers.run_all(jobs, lambda *_: None, at_once=2)")  # fmt: skip
     for number in (signal.SIGINT, signal.SIGTERM):
         process = subprocess.Popen([sys.executable, "-c", parent], stderr=subprocess.DEVNULL)
@@ -395,7 +397,7 @@ def alive(pid):
 
 
 def orch_reproduce(*arguments, cwd, **options):
-    command = [sys.executable, "-m", "orchestrator.cli", "reproduce", "thesis", *arguments]
+    command = [sys.executable, "-m", "orchestrator.cli.main", "reproduce", "thesis", *arguments]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 

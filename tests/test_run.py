@@ -311,7 +311,7 @@ def test_a_record_completed_while_the_fmus_were_loaded_is_not_repeated(python, w
     path = write(single("moody"))
     script = f"""
 import orchestrator
-from orchestrator import runner
+from orchestrator.runs import runner
 
 def late(*arguments, open_=runner.System.open):
     runner.System.open = open_

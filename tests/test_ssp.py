@@ -19,9 +19,9 @@ from lxml import etree
 
 import orchestrator
 from orchestrator.errors import OrchError
-from orchestrator.experiment import load
-from orchestrator.fmu import platform_folder
-from orchestrator.wiring import prepare
+from orchestrator.experiment.experiment import load
+from orchestrator.fmu.fmu import platform_folder
+from orchestrator.plan.resolve import prepare
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"

@@ -16,7 +16,7 @@ import pytest
 from conftest import DEADLINE, ORCH
 from scipy import stats
 
-from orchestrator.sweep.design import read
+from orchestrator.studies.sweep.design.matrix import read
 
 FMU = "components.controller.fmu"
 FAST = "components.current.parameters.velocity"
@@ -352,14 +352,15 @@ def test_memory_stays_flat_over_runs(python, sweep, write, tmp_path):
     path = write({**sweep, "sweep": {**sweep["sweep"], "draws": 150}})
     answer = python(f"""
 import os
-from orchestrator.sweep import engine, study, worker
-from orchestrator.sweep.storage import Storage
+from orchestrator.studies.sweep.design import study
+from orchestrator.studies.sweep.engine import scheduler, worker
+from orchestrator.studies.sweep.engine.storage import Storage
 
 made = study.prepare({str(path)!r})
 job = made.job({str(tmp_path / "m")!r}, {{"git_commit": "", "command": "[]"}})
 storage = Storage(job.folder)
 os.makedirs(job.folder)
-engine.lay_out(made, storage)
+scheduler.lay_out(made, storage)
 runs = made.design.runs()
 
 
@@ -483,11 +484,12 @@ def test_without_dask_a_sentence_says_what_to_install(python, sweep, write):
     answer = python(f"""
 import sys
 sys.modules["distributed"] = None
-from orchestrator.sweep import engine, study
+from orchestrator.studies.sweep.design import study
+from orchestrator.studies.sweep.engine import scheduler
 from orchestrator.errors import OrchError
 made = study.prepare({str(path)!r})
 try:
-    engine.sweep(made, "results")
+    scheduler.sweep(made, "results")
 except OrchError as error:
     print(error)
 """)

@@ -16,16 +16,16 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ..loop import Block
-from ..master import Watcher
-from ..plan import Plan
-from ..system import System
-from . import telemetry
-from .autopilot import Autopilot
-from .control import Control
-from .conversation import Conversation
-from .links import Endpoint, Link, Peer, open_link
-from .station import Station
+from ..plan.plan import Plan
+from ..simulation.loop import Block
+from ..simulation.master import Watcher
+from ..simulation.system import System
+from .protocol import telemetry
+from .protocol.conversation import Conversation
+from .protocol.links import Endpoint, Link, Peer, open_link
+from .protocol.station import Station
+from .vehicle.autopilot import Autopilot
+from .vehicle.control import Control
 from .view import View, fleet
 
 HEARTBEAT = 1.0  # s

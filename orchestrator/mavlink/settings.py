@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import ExperimentError, Problem, did_you_mean
-from ..plan import Part, Plan
-from .frame import PWM_MAPS
+from ..plan.plan import Part, Plan
+from .vehicle.frame import PWM_MAPS
 
 BODY = ("u", "v", "w", "p", "q", "r")
 AXES = ("x", "y", "z", "phi", "theta", "psi")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..plan import Part, Plan
-from .control import Control
-from .frame import PWM_MAPS
+from ..plan.plan import Part, Plan
 from .settings import vehicles_of
+from .vehicle.control import Control
+from .vehicle.frame import PWM_MAPS
 from .view import frame_of
 
 MANUAL, ARDUPILOT = "mavlink_manual", "ardupilot_json"

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
-from . import telemetry
-from .autopilot import Autopilot
-from .conversation import parameter_value
-from .sample import Sample
-from .station import HOME_EVERY
-from .wire import Encoder
+from .protocol import telemetry
+from .protocol.conversation import parameter_value
+from .protocol.station import HOME_EVERY
+from .protocol.wire import Encoder
+from .vehicle.autopilot import Autopilot
+from .vehicle.sample import Sample
 
 EPOCH = 1_577_836_800  # s; a log begins on 1 January 2020, whenever the run was made: same run, same bytes
 HEARTBEAT = 1.0  # Hz

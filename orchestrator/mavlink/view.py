@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import OrchError, did_you_mean
-from ..plan import Part, Plan
-from ..system import System
-from ..variables import Variable, split_axis
-from .autopilot import MODES, Autopilot
-from .control import Control
-from .frame import Frame
-from .links import Endpoint
-from .parameters import Parameters
-from .sample import Sample, gravity_alone
+from ..fmu.variables import Variable, split_axis
+from ..plan.plan import Part, Plan
+from ..simulation.system import System
+from .protocol.links import Endpoint
 from .settings import AXES, BODY, Settings, settings_of
+from .vehicle.autopilot import MODES, Autopilot
+from .vehicle.control import Control
+from .vehicle.frame import Frame
+from .vehicle.parameters import Parameters
+from .vehicle.sample import Sample, gravity_alone
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from .. import archive as archives
 from ..errors import ExperimentError, FmuError, OrchError, Problem, no_such_file
+from ..fmu import archive as archives
 from .names import DESCRIPTION
 
 

@@ -10,12 +10,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from .. import build
 from ..errors import ExperimentError, FmuError, Problem, StoreError
-from ..experiment import Experiment, parse
-from ..fmu import Fmu, read
-from ..variables import Variable
-from . import flatten, structure, toml_text
+from ..experiment import toml
+from ..experiment.experiment import Experiment, parse
+from ..fmu.fmu import Fmu, read
+from ..fmu.variables import Variable
+from ..models import build
+from . import flatten, structure
 from .archive import Archive, Unreadable
 from .parameters import Value, for_variable
 
@@ -41,7 +42,7 @@ def load(path: Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, st
     """
     folder = build.build_folder() / "ssp"
     imported = _read(path, lambda source, digest: folder / digest[:16], str)
-    text = f"# {path.name}\n{toml_text.write(imported.table)}"
+    text = f"# {path.name}\n{toml.write(imported.table)}"
     experiment = parse(path, text, set, swap)
     problems = (*imported.problems, *experiment.problems)
     return dataclasses.replace(experiment, problems=problems, notes=(*imported.notes, *experiment.notes))
@@ -68,7 +69,7 @@ def convert(path: Path, target: Path) -> Imported:
                 final = folder / file.relative_to(half)
                 final.parent.mkdir(parents=True, exist_ok=True)
                 file.replace(final)
-            text = f"# Imported from {path.name}\n{toml_text.write(imported.table)}"
+            text = f"# Imported from {path.name}\n{toml.write(imported.table)}"
             target.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StoreError(f"{target} cannot be written: {error.strerror or error}") from None

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..fmu import Fmu
-from ..units import conversion
-from ..variables import FLOATS, WHOLE, Variable
+from ..fmu.fmu import Fmu
+from ..fmu.units import conversion
+from ..fmu.variables import FLOATS, WHOLE, Variable
 from .archive import Archive, Unreadable
 from .names import PARAMETER_MAPPING, PARAMETER_SET, tag
 from .units import Units, read_units

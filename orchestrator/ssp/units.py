@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..units import BASE, Unit
+from ..fmu.units import BASE, Unit
 from .names import tag
 
 Units = Mapping[str, Unit]

@@ -15,12 +15,12 @@ from typing import Any
 
 from .. import __version__
 from ..errors import OrchError
+from ..experiment import toml
 from ..files import replacing
-from ..fmu import Fmu
-from ..plan import Link, Part, Plan
-from ..units import BASE, Unit
-from ..variables import FLOATS, OBJECTS, TRUTHS, Variable
-from . import toml_text
+from ..fmu.fmu import Fmu
+from ..fmu.units import BASE, Unit
+from ..fmu.variables import FLOATS, OBJECTS, TRUTHS, Variable
+from ..plan.plan import Link, Part, Plan
 from .names import DESCRIPTION, FMU, NAMESPACES, OSP, OURS, tag
 
 PARAMETERS = "initialValues"  # the name of every component's parameter set: Ecos applies a set by name
@@ -242,7 +242,7 @@ class _Writer:
         default = self.add(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(master.stop_time))
         algorithm = self.add(self.annotation(default, OSP), "osp:Algorithm")
         self.add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(master.step))
-        self.add(self.annotation(default, OURS), "orch:experiment").text = "\n" + toml_text.write(beyond(self.plan))
+        self.add(self.annotation(default, OURS), "orch:experiment").text = "\n" + toml.write(beyond(self.plan))
 
     def annotation(self, parent: Any, type: str) -> Any:
         annotations = parent.find(tag("ssd:Annotations"))

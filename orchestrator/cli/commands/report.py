@@ -1,0 +1,40 @@
+"""The command that makes a page of runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .options import results_option
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1)
+@click.option("--sweep", metavar="SWEEP", help="A sweep instead, by its id or as last: statistics and figures.")
+@click.option("--output", "-o", metavar="FILE", help="The HTML file; default: beside the record, as .html")
+@results_option
+def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results: str) -> None:
+    """Write runs as one HTML page: replay, plots, metrics.  RUN: an id, a prefix of one, a file, or "last"."""
+    from ..text import show
+
+    if sweep is not None:
+        if runs:
+            raise click.UsageError("--sweep reports a sweep: give no RUN beside it")
+        from ...studies.sweep.engine import table
+        from ...studies.sweep.results import analysis, page
+
+        found = table.find(results, sweep)
+        local = found.storage.local or Path()
+        target = Path(output) if output else local / "report.html"
+        click.echo(show.short(page.write(analysis.analyse(found), target)))
+        return
+    if not runs:
+        raise click.UsageError("say which runs, or which --sweep")
+    from ...records.store.folder import Store, open_run
+    from ...views.report.page import write
+
+    store = Store(results)
+    records = [open_run(store.find(name)) for name in runs]
+    target = Path(output) if output else records[0].path.with_suffix(".html")
+    click.echo(show.short(write(records, target)))

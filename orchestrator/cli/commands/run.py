@@ -1,0 +1,155 @@
+"""Commands that run experiments, or look whether they would."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...errors import ExperimentError, OrchError
+from .options import (
+    INTERRUPTED,
+    changes_options,
+    json_option,
+    live_of,
+    live_options,
+    packaging_option,
+    pairs,
+    prepared,
+    results_option,
+    silent,
+    swaps_of,
+    tell,
+)
+
+
+@click.command(epilog="""\b
+Examples:
+  orch run experiments/gripping_currents.toml
+  orch run experiments/spiral_pid.toml --set master.stop_time=10 --swap controller=mfsosmc
+  orch run experiments/gripping_currents.toml --realtime --mavlink udpout:127.0.0.1:14550
+  orch run experiments/gripping_currents.toml --realtime 2 --mavlink 1=tcpin:127.0.0.1:5760
+  orch run experiments/spiral_pid.toml --checkpoint-at 12
+  orch run --from results/spiral_pid/3f9a2c1d5e.at-12.checkpoint --swap controller=mfsosmc
+""")
+@click.argument("experiment", metavar="EXPERIMENT.toml", required=False)
+@changes_options
+@packaging_option
+@click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
+@results_option
+@click.option("--force", is_flag=True, help="Run again although the record is there.")
+@click.option("--checkpoint-at", "times", metavar="T", type=float, multiple=True,
+              help="Save the run at T seconds, beside its record.  Repeatable.")
+@click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names begins anew.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@live_options
+@json_option
+def run(
+    experiment: str | None,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
+    output: str | None,
+    results: str,
+    force: bool,
+    times: tuple[float, ...],
+    start: str | None,
+    quiet: bool,
+    as_json: bool,
+    **live: Any,
+) -> int:
+    """Run an experiment, or a SYSTEM.ssp, and record it."""
+    from ...runs.checkpoint.observer import ticks_of
+    from ...runs.progress import Progress
+    from ...runs.runner import execute
+    from ..text import show
+
+    told = silent if quiet or as_json else tell
+    experiment, asked = live_of("" if experiment is None and start else experiment, **live)
+    try:
+        if start is None:
+            plan = prepared(experiment, sets, swaps, told, packaging)
+        else:
+            from ...runs.checkpoint.resume import prepare
+
+            plan = prepare(start, experiment or None, pairs("--set", sets), swaps_of(swaps), told, packaging)
+        ticks = ticks_of(plan, times)
+        for note in plan.notes:
+            told(f"note: {note}")
+        progress = Progress(plan)
+        with asked.tied(plan) as ties:
+            try:
+                observers = [*([] if quiet or as_json else [progress]), *ties.observers]
+                again = force or bool(ties.observers)
+                result = execute(ties.plan, output, results, again, observers, ties.context, ticks)
+            finally:
+                progress.done()
+        for note in asked.notes:
+            told(f"note: {note}")
+    except OrchError as error:
+        if as_json:
+            click.echo(json.dumps(show.not_started(error)))
+        raise
+    if as_json:
+        click.echo(json.dumps(show.result_as_json(result)))
+    elif not quiet and result.status == "completed":
+        click.echo(show.result(result, plan))
+    for warning in result.warnings:
+        told(f"warning: {warning}")
+    if result.status != "completed":
+        click.echo(f"{result.file}: {result.error}", err=True)
+    if result.last_inputs:
+        told(show.last_inputs(result))
+    asked.finish(result.file)
+    if result.status == "completed":
+        return 0
+    return 3 if result.status == "failed" else INTERRUPTED
+
+
+@click.command()
+@click.argument("experiment", metavar="EXPERIMENT.toml")
+@changes_options
+@packaging_option
+@click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
+@click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
+@click.option("--timeout", metavar="S", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
+              help="Of --load, for each FMU.")  # fmt: skip
+@json_option
+def check(
+    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, load: bool,
+    timeout: float, as_json: bool,
+) -> None:  # fmt: skip
+    """Find all problems of an experiment and its FMUs, and show the system; run nothing.
+
+    No FMU is loaded unless --load asks for it.
+
+    \b
+    orch check experiments/gripping_currents.toml --diagram system.svg
+    orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
+    orch check system.ssp
+    """
+    from ..text import show
+
+    told = silent if as_json else tell
+    try:
+        plan = prepared(experiment, sets, swaps, told, packaging)
+        if load:
+            from ...runs import trial
+
+            if problems := trial.problems(plan, timeout):
+                raise ExperimentError(plan.experiment.path, problems)
+    except ExperimentError as error:
+        if as_json:
+            click.echo(json.dumps(show.problems_as_json(error)))
+        raise
+    if diagram is not None:
+        from ...views.figures.diagram import write
+
+        write(plan, Path(diagram))
+    click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
+    if load:
+        told("every FMU was loaded and initialized")
+    if diagram is not None and not as_json:
+        click.echo(f"\n{show.short(Path(diagram))}")

@@ -1,0 +1,138 @@
+"""Commands that find records, tell them apart, and clear them away."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ...errors import OrchError
+from .options import json_option, results_option, tell
+
+
+def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--experiment, --status, --since, --before and --where."""
+    for option, metavar, text in reversed((
+        ("--experiment", "GLOB", "Of these experiments."),
+        ("--status", "GLOB", "completed, failed, interrupted*, running or corrupt."),
+        ("--since", "TIME", "Created since a date, or an age: 2h, 3d, 1w."),
+        ("--before", "TIME", "Created before it."),
+        ("--where", "EXPRESSION", "For which this is true."),
+    )):  # fmt: skip
+        command = click.option(option, metavar=metavar, default="", help=text)(command)
+    return command
+
+
+@click.command("list")
+@filter_options
+@click.option("--sort", metavar="NAME", default="", help="By this name; default: newest first.")
+@click.option("--reverse", is_flag=True, help="The other way round.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most so many.")
+@click.option("--columns", metavar="NAME,...", default="", help="Show these, too: metrics.rmse_x1, wall_time, ...")
+@click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values, at full precision.")
+@results_option
+@json_option
+def list_(
+    experiment: str, status: str, since: str, before: str, where: str, sort: str, reverse: bool, limit: int | None,
+    columns: str, as_csv: bool, results: str, as_json: bool,
+) -> None:  # fmt: skip
+    """List the runs of the store.
+
+    \b
+    orch list --since 3d --columns metrics.rmse_x1 --sort metrics.rmse_x1
+    orch list --where "components.controller.fmu == 'pid' and metrics.rmse_x < 0.2"
+    orch list --where "components.vehicle.parameters.eta_0.z > 1 and not status == 'failed'"
+
+    Names: run_id, experiment, title, status, created, wall_time, seed, git_commit, ..., components.NAME.fmu,
+    components.NAME.parameters.X, master.step, metrics.NAME, versions.PACKAGE.  The expression knows and, or, not, ==,
+    !=, <, <=, >, >=, in [...] and like 'glob*'.
+    """
+    from ...records.store import filters as listing
+    from ...views.tables.terminal import columns_of
+
+    filters = listing.Filters(experiment, status, since, before, where)
+    found = listing.choose(Path(results), filters)
+    found = listing.ordered(found, sort, reverse) if sort else found if reverse else found[::-1]
+    found = found[:limit]
+    shown = [*listing.COLUMNS, *(name.strip() for name in columns.split(",") if name.strip())]
+    if as_json:
+        click.echo(json.dumps([dict(run) for run in found]))
+    elif as_csv:
+        click.echo(listing.as_csv(found, [*shown, "file"]), nl=False)
+    elif found:
+        click.echo("\n".join(columns_of(listing.table(found, shown))))
+    else:
+        tell(
+            f"no run in {results}" + (" passes the filters" if any((experiment, status, since, before, where)) else "")
+        )
+
+
+@click.command()
+@click.argument("a", metavar="A")
+@click.argument("b", metavar="B")
+@results_option
+@json_option
+def diff(a: str, b: str, results: str, as_json: bool) -> int:
+    """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
+
+    Exit code 0 where nothing differs that decides the numbers, that is, the digests are the same; else 1.
+    """
+    from ...records.compare import diff as changes
+    from ...records.store.folder import open_run
+    from ...views.tables.terminal import columns_of
+
+    with open_run(a, results) as first, open_run(b, results) as second:
+        found = changes.changes(first, second)
+        names = first.run_id, second.run_id
+        same = first.attributes["digest"] == second.attributes["digest"]
+    if as_json:
+        click.echo(json.dumps([change.__dict__ for change in found]))
+    elif found:
+        click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
+    elif same:
+        tell("nothing differs but clocks")
+    if not same and not any(change.decides for change in found):
+        tell("their digests differ, and with them something that decides the numbers")
+    return 0 if same else 1
+
+
+@click.command()
+@filter_options
+@click.option("--yes", is_flag=True, help="Delete; without it, only say what would go.")
+@results_option
+def prune(experiment: str, status: str, since: str, before: str, where: str, yes: bool, results: str) -> None:
+    """Delete the records that pass the filters; only says which, unless --yes is given.  Runs that go on stay.
+
+    \b
+    orch prune --status failed --before 4w
+    orch prune --where "master.step > 0.001" --yes
+    """
+    from ...records.store import filters as listing
+    from ...records.store.prune import Stays, delete
+    from ...views.tables.terminal import short
+
+    filters = listing.Filters(experiment, status, since, before, where)
+    if not filters:
+        raise OrchError("prune deletes what passes its filters; give one, such as --status failed")
+    passes = listing.passing(filters)
+    gone, kept = [], []
+    for run in listing.choose(Path(results), filters):
+        if run["status"] == "running":
+            continue
+        path = Path(run["file"])
+        try:
+            if yes:
+                delete(path, passes)
+        except Stays as error:
+            kept.append(f"{short(path)} stays: {error}")
+        else:
+            gone.append(run)
+            click.echo(f"{short(path)}  {run['status']}")
+    size = sum(run["bytes"] for run in gone) / 1e6
+    what = "1 record" if len(gone) == 1 else f"{len(gone)} records"
+    tell(f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would go; --yes deletes them")
+    if kept:
+        raise OrchError("\n".join(kept))

@@ -1,0 +1,99 @@
+"""The command `orch`.  Each command imports what it needs when it runs, so that `orch --help` is there at once."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from .. import __version__
+from ..errors import OrchError
+from .commands import compare, exchange, export, models, records, report, rerun, run, store, studies, sweep
+from .commands.options import INTERRUPTED
+
+
+def main() -> None:
+    """Entry point; ends the process."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal may lack the letters of a model's own words
+    code = execute()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    # An FMU that has failed can neither be freed nor be left to the destructors at exit: both may crash.
+    os._exit(code)
+
+
+def execute(arguments: Sequence[str] | None = None) -> int:
+    """One command; those of the process by default.  Returns 0 done, 2 not started, 3 failed, 130 interrupted."""
+    try:
+        code = orch.main(None if arguments is None else list(arguments), prog_name="orch", standalone_mode=False)
+    except click.exceptions.Abort:  # what click makes of Ctrl-C
+        click.echo("interrupted", err=True)
+        code = INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except KeyboardInterrupt:
+        click.echo("interrupted", err=True)
+        code = INTERRUPTED
+    except OrchError as error:
+        click.echo(str(error), err=True)
+        code = error.exit_code
+    except BrokenPipeError:  # orch ... | head
+        code = 0
+        sys.stdout = None
+    except Exception:
+        traceback.print_exc()
+        click.echo("\nThis is a bug of orch; please report it with the text above.", err=True)
+        code = 1
+    return code if isinstance(code, int) else 0
+
+
+class _Group(click.Group):
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        if self.epilog:
+            formatter.write("\n" + self.epilog)
+
+
+@click.group(
+    cls=_Group,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="""Examples:
+  orch run experiments/gripping_currents.toml
+  orch run experiments/spiral_pid.toml --set components.controller.parameters.K_p.z=90
+  orch run experiments/spiral_pid.toml --swap controller=mfsosmc --set master.step=5e-5
+  orch plot last
+""",
+)
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=lambda *args: _version(*args),
+              help="Show the version, and which loop runs.")  # fmt: skip
+def orch() -> None:
+    """Co-simulate underwater vehicles and their controllers, each one an FMU."""
+
+
+def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        from ..simulation.loop import extension
+
+        click.echo(f"orch {__version__}, {'compiled loop' if extension() else 'loop in Python'}")
+        ctx.exit()
+
+
+COMMANDS = (
+    run, rerun, models, records, store, compare, export, exchange, report, studies, sweep,
+)  # fmt: skip
+
+for module in COMMANDS:
+    for command in vars(module).values():
+        if isinstance(command, click.Command):
+            orch.add_command(command)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""What commands print: tables for people, JSON for scripts."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ... import metrics
+from ...errors import ExperimentError, OrchError
+from ...fmu.fmu import Fmu
+from ...fmu.variables import split_axis
+from ...metrics import finite
+from ...plan.feedthrough import Cycle, cycles
+from ...plan.plan import Plan
+from ...simulation.timing import PHASES
+from ...views.tables import system
+from ...views.tables.terminal import columns_of
+from ...views.tables.terminal import short as short  # of the tables
+
+if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
+    from ...records.store.folder import Run
+    from ...runs.runner import Result
+
+
+SHOWN_INPUTS = 8
+
+
+def result(result: Result, plan: Plan) -> str:
+    """A finished run."""
+    head = f"{plan.experiment.path.stem} {result.run_id}: {result.status}"
+    if not result.repeated:
+        head += ", already in the store (--force runs it again)"
+    if result.stopped_at is not None:
+        head += f"; an FMU ended it at t = {result.stopped_at:.10g} s"
+    lines = [
+        head,
+        f"  file              {short(result.file)}",
+        f"  wall time         {result.wall_time:.4g} s",
+        f"  real-time factor  {result.real_time_factor:.4g}",
+    ]
+    lines += [f"  from              {plan.origin}"] if plan.origin else []
+    lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
+    if result.metrics:
+        units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
+        lines += ["  metrics", *columns_of(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
+    return "\n".join(lines)
+
+
+def _why_not(value: float) -> str:
+    return "no sample in its window" if math.isnan(value) else "never"
+
+
+def record(run: Run) -> str:
+    """A record, as `orch show` prints it."""
+    facts = run.attributes
+    rows = [("file", short(run.path)), ("title", facts["title"]), ("created", facts["created"])]
+    rows += [(name.replace("_", " "), facts[name]) for name in ("command", "git_commit", "platform") if facts[name]]
+    rows += [(name.replace("_", " "), f"{facts[name]:.10g} s") for name in ("failed_at", "stopped_at") if name in facts]
+    rows += [
+        ("from", _origin(facts)),
+        ("error", facts["error"]),
+        ("steps", f"{facts['step']:g} s, {facts['algorithm']}; {len(run.time)} rows"),
+        ("wall time", f"{facts['wall_time']:.4g} s, {facts['real_time_factor']:.4g}x real time"),
+        ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
+    ]
+    plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
+    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *columns_of(plain, indent=2), "", "  components"]
+    lines += columns_of(
+        [(c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
+         for c in facts["experiment_resolved"]["components"]], indent=4, cut=True,
+    )  # fmt: skip
+    if run.metrics:
+        units = {name: run.units(name) for name in run.signals}
+        specs = facts["experiment_resolved"]["metrics"]
+        lines += ["", "  metrics", *columns_of(_metrics(run.metrics, specs, units), indent=4)]
+    if facts["timing"]:
+        lines += ["", *_timing(facts["timing"])]
+    lines += [f"warning: {warning}" for warning in facts["warnings"]]
+    return "\n".join(lines)
+
+
+def _origin(facts: Mapping[str, Any]) -> str:
+    """The checkpoint that a run went on from, or ""."""
+    if "from_run" not in facts:
+        return ""
+    fresh = facts["experiment_resolved"]["from"]["fresh"]
+    anew = f"; begun anew: {', '.join(fresh)}" if fresh else ""
+    return f"run {facts['from_run']} at t = {facts['from_time']:.10g} s, {short(Path(facts['from_file']))}{anew}"
+
+
+def _timing(timing: Mapping[str, Any]) -> list[str]:
+    """Where the time went: seconds of each component, estimated from timed steps."""
+    whole = timing["stepping"]
+    rows = [("", "set", "step", "get", "of all")]
+    spent = 0.0
+    for name, seconds in timing["components"].items():
+        phases = [seconds[phase] for phase in PHASES]
+        spent += sum(phases)
+        rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
+    rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
+    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    if pacing := timing.get("pacing"):
+        mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
+        lines.append(f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, "
+                     f"{worst:.3g} ms at worst, {end:.3g} ms at the end")  # fmt: skip
+    return lines
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{part / whole:.1%}" if whole else "-"
+
+
+def record_as_json(run: Run) -> dict[str, Any]:
+    facts = {name: value for name, value in run.attributes.items() if value == value}  # JSON has no nan
+    del facts["model_descriptions"]  # 100 kB
+    return {**facts, "status": run.status, "file": str(run.path), "rows": len(run.time), "signals": run.signals}
+
+
+def _metrics(
+    values: Mapping[str, float], specs: Mapping[str, Mapping[str, Any]], units: Mapping[str, str]
+) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for name, value in values.items():
+        unit = metrics.unit_of(specs[name], units)
+        shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
+        rows.append((name, shown, "" if unit == "1" else unit))
+    return rows
+
+
+def last_inputs(result: Result) -> str:
+    """What the component that failed was given last: the first few, the record has all."""
+    shown = [f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
+             for name, value in list(result.last_inputs.items())[:SHOWN_INPUTS]]  # fmt: skip
+    more = len(result.last_inputs) - len(shown)
+    return f"  its last inputs: {', '.join(shown)}" + (f", and {more} more in the record" if more else "")
+
+
+def result_as_json(result: Result) -> dict[str, Any]:
+    return {
+        "run_id": result.run_id, "file": str(result.file), "status": result.status, "wall_time": result.wall_time,
+        "real_time_factor": result.real_time_factor, "metrics": finite(result.metrics),
+        "warnings": list(result.warnings), "error": result.error,
+        **({"checkpoints": list(map(str, result.checkpoints))} if result.checkpoints else {}),
+    }  # fmt: skip
+
+
+def not_started(error: OrchError) -> dict[str, Any]:
+    """The JSON of a run that did not begin, or whose record could not be kept."""
+    empty = dict.fromkeys(("run_id", "file", "wall_time", "real_time_factor"))
+    status = "not started" if error.exit_code == 2 else "failed"
+    return {**empty, "status": status, "metrics": {}, "warnings": [], "error": str(error)}
+
+
+def problems_as_json(error: ExperimentError) -> dict[str, Any]:
+    return {"experiment": error.path, "problems": [{"key": p.key, "problem": p.sentence} for p in error.problems]}
+
+
+def plan(plan: Plan) -> str:
+    """The resolved system, as `orch check` prints it."""
+    master, record = plan.experiment.master, plan.experiment.record
+    scalars = f"{len(plan.links)} scalar connections"
+    lines = [
+        f"{plan.experiment.path}: no problems",
+        f"  {master.stop_time:g} s in {plan.steps} steps of {master.step:g} s, {master.algorithm}; {scalars}",
+        f"  records {len(plan.recorded)} signals every {record.every:g} s; run id {plan.digest[:10]}",
+        *(f"  note: {note}" for note in [*plan.notes, *plan.cautions]),
+        *(line for cycle in cycles(plan) for line in _cycle(plan, cycle)),
+        "",
+        *columns_of(system.components(plan), indent=2),
+    ]
+    if plan.links:
+        lines += ["", *columns_of(system.connections(plan), indent=2)]
+    return "\n".join(lines)
+
+
+def _cycle(plan: Plan, cycle: Cycle) -> list[str]:
+    late = ", ".join(f"{link.sink}.{link.input.name} takes {link.source}.{link.output.name}" for link in cycle.delayed)
+    algorithm = plan.experiment.master.algorithm
+    order = "the order of the components" if algorithm == "gauss-seidel" else "jacobi"
+    return [f"  cycle: {cycle}", "         depends on itself at once: while stepping,",
+            f"         by {order}, {late} of the step before"]  # fmt: skip
+
+
+def plan_as_json(plan: Plan) -> dict[str, Any]:
+    found = [
+        {"path": [".".join(port) for port in cycle.path],
+         "delayed": [[f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in cycle.delayed]}
+        for cycle in cycles(plan)
+    ]  # fmt: skip
+    return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, "cycles": found,
+            "notes": [*plan.notes, *plan.cautions], **plan.resolved}  # fmt: skip
+
+
+def fmus(found: Sequence[Fmu]) -> str:
+    """The list of FMUs."""
+    rows = [("fmu", "packaging", "what it is")]
+    rows += [(f.model_name, f.packaging, f.description) for f in found]
+    return "\n".join(columns_of(rows, cut=True))
+
+
+def fmu(fmu: Fmu) -> str:
+    """One FMU: its variables, vectors on one line."""
+    able = [name for name, has in fmu.capabilities.items() if has]
+    lines = [
+        f"{fmu.model_name}: {fmu.description}",
+        f"  file          {short(fmu.path)}",
+        f"  sha256        {fmu.sha256}",
+        f"  FMI           {fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})",
+        f"  capabilities  {', '.join(able) or 'none'}",
+    ]
+    for causality in ("input", "output", "structuralParameter", "parameter", "calculatedParameter", "local"):
+        rows = [_variable(fmu, name) for name in fmu.names(causality)]
+        if rows:
+            kind = causality.removesuffix("Parameter")
+            title = f"{causality}s" if kind == causality else f"{kind} parameters"
+            lines += ["", title, *columns_of(rows, indent=2, cut=True)]
+    return "\n".join(lines)
+
+
+def _variable(fmu: Fmu, name: str) -> tuple[str, ...]:
+    found = fmu.lookup(name)
+    axes = list(found)
+    variables = list(found.values())
+    units = list(dict.fromkeys(v.unit for v in variables if v.unit))
+    shown = name if axes == [""] else f"{name}[{axes[-1]}]" if axes[0][0].isdigit() else f"{name} ({' '.join(axes)})"
+    starts = [_number(v.start) for v in variables if v.start is not None]
+    start = starts[0] if len(set(starts)) == 1 else " ".join(starts)
+    meaning = variables[0].description
+    if split_axis(variables[0].name)[1]:
+        meaning = meaning.partition(": ")[2] or meaning
+    return shown, start, ", ".join(units) if units != ["1"] else "", meaning
+
+
+def _number(start: Any) -> str:
+    try:
+        return f"{float(start):g}"
+    except ValueError:  # a text, true or false
+        return str(start)
+
+
+def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
+    return {
+        "name": fmu.model_name, "description": fmu.description, "file": str(fmu.path), "sha256": fmu.sha256,
+        "fmi_version": fmu.fmi_version, "packaging": fmu.packaging, "tool": fmu.tool,
+        "capabilities": dict(fmu.capabilities),
+        "variables": [
+            {"name": v.name, "type": v.type, "causality": v.causality, "unit": v.unit, "start": v.start,
+             "description": v.description}
+            for v in fmu.variables.values()
+        ],
+    }  # fmt: skip

@@ -1,0 +1,120 @@
+"""Who depends on whom: inputs on the outputs they are connected to, outputs on inputs of the same instant."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ..fmu.variables import Variable
+from .plan import Link, Part, Plan
+
+Port = tuple[str, str]  # component, variable
+Graph = dict[Port, list[Port]]
+Node = TypeVar("Node", bound=Hashable)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Outputs that depend on themselves at once.  `path`: ports, each of which depends on the next, the last on the
+    first; `ports`: all that hang together; `delayed`: the connections that are a step late because of it."""
+
+    path: tuple[Port, ...]
+    ports: frozenset[Port]
+    delayed: tuple[Link, ...]
+
+    def __str__(self) -> str:
+        return " <- ".join(f"{component}.{name}" for component, name in (*self.path, self.path[0]))
+
+
+def dependencies(plan: Plan, initial: bool = False) -> Graph:
+    """{port: those it depends on} of everything connected, while stepping or in initialization."""
+    inputs: dict[str, list[Variable]] = {}
+    outputs: dict[Port, tuple[Part, Variable]] = {}
+    parts = {part.name: part for part in plan.parts}
+    graph: Graph = {}
+    for link in plan.links:
+        inputs.setdefault(link.sink, []).append(link.input)
+        outputs[link.source, link.output.name] = parts[link.source], link.output
+        graph[link.sink, link.input.name] = [(link.source, link.output.name)]
+    for port, (part, output) in outputs.items():
+        depends = output.depends
+        if initial and output.array in part.fmu.initial_dependencies:
+            depends = part.fmu.initial_dependencies[output.array]
+        graph[port] = [
+            (part.name, v.name) for v in inputs.get(part.name, []) if depends is None or v.array in depends
+        ]
+    return graph
+
+
+def cycles(plan: Plan, initial: bool = False) -> list[Cycle]:
+    """The cycles of direct feedthrough, one for each set of ports that hang together."""
+    graph = dependencies(plan, initial)
+    order = {part.name: i for i, part in enumerate(plan.parts)}
+    jacobi = plan.experiment.master.algorithm == "jacobi"
+    found = []
+    for ports in components(graph):
+        if len(ports) > 1 or ports[0] in graph.get(ports[0], []):
+            within = frozenset(ports)
+            delayed = tuple(
+                link for link in plan.links
+                if {(link.sink, link.input.name), (link.source, link.output.name)} <= within
+                and (jacobi or order[link.source] >= order[link.sink])
+            )  # fmt: skip
+            found.append(Cycle(_path(graph, within), within, delayed))
+    return found
+
+
+def components(graph: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:
+    """Strongly connected components, what is depended on first (Tarjan 1972, without recursion)."""
+    index: dict[Node, int] = {}
+    low: dict[Node, int] = {}
+    stack: list[Node] = []
+    on_stack: set[Node] = set()
+    found: list[list[Node]] = []
+    for root in graph:
+        if root in index:
+            continue
+        work = [(root, iter(graph[root]))]
+        index[root] = low[root] = len(index)
+        stack.append(root)
+        on_stack.add(root)
+        while work:
+            node, rest = work[-1]
+            for below in rest:
+                if below not in index:
+                    index[below] = low[below] = len(index)
+                    stack.append(below)
+                    on_stack.add(below)
+                    work.append((below, iter(graph.get(below, ()))))
+                    break
+                if below in on_stack:
+                    low[node] = min(low[node], index[below])
+            else:
+                work.pop()
+                if work:
+                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
+                if low[node] == index[node]:
+                    cut = stack.index(node)
+                    found.append(stack[cut:])
+                    on_stack -= set(stack[cut:])
+                    del stack[cut:]
+    return found
+
+
+def _path(graph: Graph, within: frozenset[Port]) -> tuple[Port, ...]:
+    """A shortest cycle from the first of the ports, in the order of the graph."""
+    start = next(port for port in graph if port in within)
+    came_from: dict[Port, Port] = {}
+    queue = [start]
+    for port in queue:
+        for below in graph[port]:
+            if below == start:
+                path = [port]
+                while path[-1] != start:
+                    path.append(came_from[path[-1]])
+                return tuple(reversed(path))
+            if below in within and below not in came_from:
+                came_from[below] = port
+                queue.append(below)
+    raise AssertionError("a strongly connected component has a cycle")

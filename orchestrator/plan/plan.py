@@ -1,0 +1,155 @@
+"""What will run: an experiment with every name resolved and every value checked, and the digest that identifies it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from ..experiment.experiment import Experiment
+from ..fmu.fmu import Fmu
+from ..fmu.variables import Variable
+
+if TYPE_CHECKING:
+    from ..runs.checkpoint.file import Checkpoint
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component ready to be instantiated."""
+
+    name: str
+    fmu_name: str  # as the experiment names it
+    fmu: Fmu
+    period: int  # ticks of the master
+    parameters: Mapping[str, Any]  # {FMI variable: value}
+    start: Mapping[str, Any]
+    isolated: bool = False  # runs in a process of its own
+    live: bool = False  # a builtin: what it does depends on the world outside
+    timeout: float | None = None  # s of wall time that one of its steps may take, when isolated
+
+
+@dataclass(frozen=True)
+class Link:
+    """One scalar connection: input = factor * output + offset."""
+
+    sink: str
+    input: Variable
+    source: str
+    output: Variable
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def direct(self) -> bool:
+        """Whether the value is copied as it is."""
+        return self.input.kind == self.output.kind and self.factor == 1.0 and self.offset == 0.0
+
+    @property
+    def ends(self) -> list[Any]:
+        """Input and output by name, and what lies between them where it is not direct."""
+        names: list[Any] = [f"{self.sink}.{self.input.name}", f"{self.source}.{self.output.name}"]
+        return names if self.factor == 1.0 and self.offset == 0.0 else [*names, self.factor, self.offset]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
+    table of values, too, for an observer."""
+
+    experiment: Experiment
+    parts: tuple[Part, ...]
+    links: tuple[Link, ...]
+    recorded: tuple[tuple[str, Variable], ...]
+    notes: tuple[str, ...]
+    created: str = ""  # when, where a component is live: each such run is one of its kind
+    watched: tuple[tuple[str, Variable], ...] = ()
+    origin: Checkpoint | None = None  # where it goes on from; None: from the beginning
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences on what goes against what an FMU declares: its min and max, and its internal step."""
+        limits = [
+            f"{part.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
+            for part in self.parts
+            for name, value in [*part.parameters.items(), *part.start.items()]
+            for low, high in [part.fmu.variables[name].limits]
+            for side, limit, which in [("below", low, "min"), ("above", high, "max")]
+            if isinstance(value, (int, float)) and (value < low if which == "min" else value > high)
+        ]
+        steps = [
+            f"{part.name}: steps every {step:g} s, no multiple of the {inner:g} s in which its FMU steps inside "
+            "(fixedInternalStepSize): what it gives may be late"
+            for part in self.parts
+            for step, inner in [(part.period * self.experiment.master.step, part.fmu.internal_step)]
+            if inner and abs(step / inner - max(1, round(step / inner))) > 1e-6
+        ]
+        return [*limits, *steps]
+
+    @property
+    def cautions(self) -> list[str]:
+        """Sentences on what is allowed and hardly meant: its warnings, and metrics that would stay empty."""
+        begin, end = self.first * self.experiment.master.step, self.experiment.master.stop_time
+        windows = {name: (m.get("after", begin), m.get("before", end)) for name, m in self.experiment.metrics.items()}
+        outside = [name for name, (after, before) in windows.items() if after > end or before < begin]
+        empty = f"no sample falls into the window of {', '.join(outside)}: the run goes from {begin:g} to {end:g} s"
+        return [*self.warnings, *([empty] if outside else [])]
+
+    @property
+    def first(self) -> int:
+        """The tick at which the run begins."""
+        return self.origin.tick if self.origin else 0
+
+    @property
+    def steps(self) -> int:
+        """The tick at which the run ends."""
+        ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
+        assert ticks is not None  # checked by experiment.load
+        return ticks
+
+    @property
+    def stride(self) -> int:
+        """Ticks from row to row."""
+        ticks = self.experiment.grid.ticks(self.experiment.record.every)
+        assert ticks is not None
+        return ticks
+
+    @cached_property
+    def resolved(self) -> dict[str, Any]:
+        """The whole of it, as JSON can hold it."""
+        master, record = self.experiment.master, self.experiment.record
+        found: dict[str, Any] = {
+            "title": self.experiment.title,
+            "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
+                       "seed": master.seed},
+            "components": [
+                {"name": p.name, "fmu": p.fmu_name, "fmu_sha256": p.fmu.sha256, "period": p.period,
+                 "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
+                for p in self.parts
+            ],
+            "connections": sorted(link.ends for link in self.links),
+            "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
+            "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
+        }  # fmt: skip
+        if self.created:
+            found["created"] = self.created
+        if self.origin:
+            found["from"] = self.origin.summary
+        return found
+
+    @property
+    def live(self) -> bool:
+        """Whether something steers from outside."""
+        return any(part.live for part in self.parts)
+
+    @cached_property
+    def digest(self) -> str:
+        """The SHA-256 of what decides the numbers: not titles, not metrics, and of an FMU its content, not its name."""
+        components = [{k: v for k, v in c.items() if k != "fmu"} for c in self.resolved["components"]]
+        keys = [key for key in ("master", "connections", "record", "created", "from") if key in self.resolved]
+        deciding: dict[str, Any] = {**{key: self.resolved[key] for key in keys}, "components": components}
+        text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,112 @@
+"""What a record says of its vehicles: where they went, where they should have gone, what drove them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...fmu.variables import split_axis
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ..store.folder import Run
+
+    Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "phi", "theta", "psi")
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The signals of one vehicle, each {axis: (N,)}, without the axes that the record does not hold."""
+
+    name: str
+    eta: Mapping[str, Array]  # position in NED and zyx Euler angles [m, rad]
+    eta_d: Mapping[str, Array]  # what its controller was told to reach, likewise
+    u: Mapping[str, Array]  # normalized thruster commands
+    v_c: Mapping[str, Array]  # velocity of the current in NED [m/s]
+
+
+def vehicles(run: Run) -> list[Vehicle]:
+    """The components of a run that put out a whole `eta`, in the order of the record."""
+    wiring = _Wiring(run)
+    names = [c for c in dict.fromkeys(s.partition(".")[0] for s in run.signals) if _is_vehicle(run, c)]
+    found = []
+    for name in names:
+        controller = wiring.controller(name, names)
+        found.append(
+            Vehicle(
+                name,
+                eta={axis: run[f"{name}.eta.{axis}"] for axis in AXES},
+                eta_d=wiring.arriving(f"{controller}.eta_d") if controller else {},
+                u=wiring.arriving(f"{name}.u"),
+                v_c=wiring.arriving(f"{name}.v_c"),
+            )
+        )
+    return found
+
+
+def _is_vehicle(run: Run, component: str) -> bool:
+    etas = [f"eta.{axis}" for axis in AXES]
+    group = run.file[component]
+    return all(eta in group and group[eta].attrs.get("causality") == "output" for eta in etas)
+
+
+class _Wiring:
+    """What arrives at inputs: the connections and start values of the experiment, over the recorded signals."""
+
+    def __init__(self, run: Run):
+        resolved: Mapping[str, Any] = run.attributes.get("experiment_resolved", {})
+        self._run = run
+        self._source: dict[str, str] = dict(resolved.get("connections", []))
+        self._start = {
+            f"{component['name']}.{variable}": value
+            for component in resolved.get("components", [])
+            for variable, value in component["start"].items()
+        }
+
+    def arriving(self, vector: str) -> dict[str, Array]:
+        """{axis: (N,)} of an input such as "vehicle1.u": as recorded, else from its source, else its start value."""
+        known = [*self._source, *self._start, *self._run.signals]
+        axes = {axis for head, axis in map(split_axis, known) if head == vector and axis}
+        values = {axis: self._values(vector, axis) for axis in sorted(axes, key=_in_order)}
+        return {axis: array for axis, array in values.items() if array is not None}
+
+    def _values(self, vector: str, axis: str) -> Array | None:
+        recorded = set(self._run.signals)
+        for name in (f"{vector}.{axis}", f"{vector}[{axis}]"):
+            source = name if name in recorded else self._source.get(name)
+            if source in recorded:
+                return np.asarray(self._run[source], float)
+            if name in self._start:
+                return np.full(len(self._run.time), float(self._start[name]))
+        return None
+
+    def controller(self, vehicle: str, others: list[str]) -> str | None:
+        """The nearest component upstream of the vehicle that is given an `eta_d`.
+
+        others: vehicles; the search does not go through them, as every controller reads its own vehicle.
+        """
+        feeds: dict[str, dict[str, None]] = {}
+        for sink, source in self._source.items():
+            feeds.setdefault(sink.partition(".")[0], {})[source.partition(".")[0]] = None
+        guided = {n.partition(".")[0] for n in [*self._source, *self._start] if split_axis(n)[0].endswith(".eta_d")}
+        seen, queue = {*others, vehicle}, deque([vehicle])
+        while queue:
+            for component in feeds.get(queue.popleft(), {}):
+                if component in guided:
+                    return component
+                if component not in seen:
+                    seen.add(component)
+                    queue.append(component)
+        return None
+
+
+def _in_order(axis: str) -> tuple[int, int, str]:
+    """eta's axes in their order, others after them, T10 after T9."""
+    return AXES.index(axis) if axis in AXES else len(AXES), len(axis), axis

@@ -1,0 +1,86 @@
+"""Checkpoints of a run: whether and when they can be taken, and taking them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from ...errors import ExperimentError, Problem
+from ...plan.plan import Part, Plan
+from ...simulation.master import Watcher
+from ...simulation.system import System
+from . import file
+
+ABLE = ("canGetAndSetFMUstate", "canSerializeFMUstate")
+
+
+class Saver(Watcher):
+    """An observer that saves the system at some ticks.  record: the file of the run, beside which checkpoints lie."""
+
+    def __init__(self, plan: Plan, ticks: Sequence[int], run_id: str, record: Path):
+        self._run_id, self._grid = run_id, plan.experiment.grid
+        self._due = {tick: file.path_of(record, self._grid.time(tick)) for tick in sorted(ticks)}
+        self.saved: list[Path] = []
+
+    def are_there(self) -> bool:
+        """Whether an earlier run has left all of them."""
+        return all(path.is_file() for path in self._due.values())
+
+    def opened(self, system: System) -> None:
+        self._system = system
+
+    def limit(self, tick: int, last: int) -> int:
+        return min((due for due in self._due if tick < due < last), default=last)
+
+    def progress(self, tick: int) -> None:
+        if tick in self._due and self._due[tick] not in self.saved:
+            file.save(self._system, tick, self._run_id, self._due[tick])
+            self.saved.append(self._due[tick])
+
+    def warnings(self) -> list[str]:
+        """Of checkpoints that the run did not reach."""
+        return [
+            f"no checkpoint at t = {self._grid.time(tick):.10g} s: the run ended before"
+            for tick, path in self._due.items() if path not in self.saved
+        ]  # fmt: skip
+
+
+def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
+    """The ticks of the times [s] at which checkpoints are asked for.
+
+    Raises ExperimentError where a time is none of the run's, or naming all components that cannot be saved.
+    """
+    experiment, problems, ticks = plan.experiment, [], set()
+    grid, master = experiment.grid, experiment.master
+    for time in times:
+        key = f"--checkpoint-at {time:.10g}"
+        if not math.isfinite(time):
+            problems.append(Problem(key, "is no time"))
+        elif (tick := grid.ticks(time)) is None:
+            near = " or ".join(f"{t:.10g}" for t in grid.nearest(time))
+            problems.append(Problem(key, f"is not a multiple of master.step = {master.step:g} s; try {near}"))
+        elif tick <= plan.first:
+            begins = f"the run begins at t = {grid.time(plan.first):.10g} s"
+            problems.append(Problem(key, f"{begins}: there is nothing to save before it has made a step"))
+        elif tick > plan.steps:
+            problems.append(Problem(key, f"is after master.stop_time = {master.stop_time:.10g} s"))
+        else:
+            ticks.add(tick)
+    if ticks or problems:
+        problems += [
+            Problem(f"components.{part.name}", f"its state cannot be saved: {words}")
+            for part in plan.parts if (words := _unable(part))
+        ]  # fmt: skip
+    if problems:
+        raise ExperimentError(experiment.path, problems)
+    return sorted(ticks)
+
+
+def _unable(part: Part) -> str:
+    """Why a component cannot be saved, or ""."""
+    if part.live:
+        return f"{part.fmu_name} runs inside orch, and what it does comes from outside"
+    if missing := [name for name in ABLE if not part.fmu.capabilities[name]]:
+        return f"{part.fmu_name} says of itself: no {', no '.join(missing)}"
+    return ""

@@ -1,0 +1,182 @@
+"""An experiment from file to record: the path that every command takes."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from .. import metrics
+from ..errors import RunError, StoreError
+from ..experiment import experiment as experiments
+from ..plan.plan import Plan
+from ..plan.resolve import prepare
+from ..records.file.access import UNREADABLE, being_written, is_taken
+from ..records.file.recorder import Recorder
+from ..records.store.folder import ID_LENGTH, Run, Store
+from ..simulation.master import Observer, Outcome, interruptible
+from ..simulation.master import run as run_master
+from ..simulation.system import Context, System
+from .checkpoint import resume
+from .checkpoint.observer import Saver, ticks_of
+
+
+@dataclass(frozen=True)
+class Result:
+    """What `orch run` has to say."""
+
+    run_id: str
+    file: Path
+    status: str
+    wall_time: float
+    real_time_factor: float
+    metrics: Mapping[str, float]
+    warnings: Sequence[str] = ()
+    error: str = ""
+    stopped_at: float | None = None
+    repeated: bool = True  # False: the record was already there
+    checkpoints: Sequence[Path] = ()
+    last_inputs: Mapping[str, Any] = field(default_factory=dict)  # of the component that failed
+
+
+def run(
+    path: str | Path | None = None,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str] | None = None,
+    output: str | Path | None = None,
+    results: str | Path = "results",
+    force: bool = False,
+    packaging: str = "auto",
+    checkpoint_at: Sequence[float] = (),
+    start_from: str | Path | None = None,
+) -> Run:
+    """Run an experiment; returns the open record.
+
+    set: {dotted key: value} laid over the file.  swap: {component: FMU}.  output: the file to write, instead of one in
+    the store `results`.  force: run again although a completed record is there.  packaging: of named models, "native",
+    "python", or "auto": native where there is a C compiler.  checkpoint_at: times [s] at which the run is saved beside
+    its record.  start_from: a checkpoint to go on from, where no path need be given.
+    Raises ExperimentError where it cannot run, StoreError where a checkpoint cannot be read, RunError, with `.run` open
+    on the record, where it fails, and KeyboardInterrupt at Ctrl-C, when the record is closed.
+    """
+    if start_from is not None:
+        plan = resume.prepare(start_from, path, set or {}, swap or {}, packaging=packaging)
+    elif path is not None:
+        plan = prepare(experiments.load(path, set, swap), packaging=packaging)
+    else:
+        raise TypeError("give the path of an experiment, or start_from a checkpoint")
+    result = execute(plan, output, results, force, checkpoints=ticks_of(plan, checkpoint_at))
+    if result.status == "interrupted":
+        raise KeyboardInterrupt(f"{result.file}: {result.error}")
+    record = Run(result.file)
+    if result.status == "failed":
+        raise RunError(f"{result.file}: {result.error}", record)
+    return record
+
+
+def execute(
+    plan: Plan,
+    output: str | Path | None = None,
+    results: str | Path = "results",
+    force: bool = False,
+    observers: Sequence[Observer] = (),
+    context: Context | None = None,
+    checkpoints: Sequence[int] = (),
+) -> Result:
+    """Run a resolved plan into its record, unless a completed one is there.
+
+    context: {component: what a builtin may need of the run}.  checkpoints: ticks at which to save it, see
+    `saver.ticks_of`.  Raises OrchError where nothing started.
+    """
+    run_id, final = _place(plan, output, results)
+    saver = Saver(plan, checkpoints, run_id, final)
+    force = force or not saver.are_there()
+    if output is None and not force and _status(final) == "completed":
+        return _recall(run_id, final, plan)
+    _refuse_second_writer(final)
+    values: Mapping[str, float] = {}
+    with interruptible() as interrupt, System.open(plan, interrupt.is_set, context) as system:
+        # An earlier record stays until the new one is completed.
+        path = _beside(final) if final.exists() else final
+        _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
+        if output is None and not force and _status(final) == "completed":
+            return _recall(run_id, final, plan)
+        recorder = Recorder(path, plan, run_id)
+        try:
+            outcome = run_master(system, [recorder, *observers, saver], interrupt)
+            outcome.warnings += saver.warnings()
+            recorder.flush()
+            wall_time, factor = recorder.finish(outcome)
+            if outcome.status == "completed":
+                values = metrics.evaluate(Run(path, recorder.file), plan.experiment.metrics)
+            recorder.close(outcome.status, values)
+        except StoreError as error:
+            ticks, values = recorder.ticks, {}
+            outcome = Outcome("failed", ticks, str(error), failed_at=plan.experiment.grid.time(ticks))
+            wall_time, factor = _give_up(recorder, outcome)
+        except BaseException:
+            recorder.abandon()
+            raise
+    if outcome.status == "completed" and path != final:
+        os.replace(path, final)
+        path = final
+    return Result(run_id, path, outcome.status, wall_time, factor, values, outcome.warnings, outcome.error,
+                  outcome.stopped_at, checkpoints=saver.saved, last_inputs=outcome.last_inputs)  # fmt: skip
+
+
+def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:
+    """Close a record that could not be written further.  Raises RunError where not even that is possible."""
+    try:
+        times = recorder.finish(outcome)
+        recorder.close(outcome.status)
+    except StoreError:
+        recorder.abandon()
+        raise RunError(f"{outcome.error}; the record holds the rows written before, and no word of the end") from None
+    return times
+
+
+def _place(plan: Plan, output: str | Path | None, results: str | Path) -> tuple[str, Path]:
+    if output is not None:
+        path = Path(output)
+        if path.is_dir() or (path.exists() and path.stat().st_size and not h5py.is_hdf5(path)):
+            raise StoreError(f"{path} is there and is no record; it stays as it is: give --output another name")
+        return plan.digest[:ID_LENGTH], path
+    return Store(results).place(plan.experiment.path.stem, plan.digest)
+
+
+def _status(path: Path) -> str:
+    if not path.exists():
+        return ""
+    try:
+        with Run(path) as record:
+            return record.status
+    except (StoreError, *UNREADABLE):
+        return "unreadable"
+
+
+def _recall(run_id: str, path: Path, plan: Plan) -> Result:
+    """The record that is already there, with the metrics that the file asks for today."""
+    with Run(path) as record:
+        attributes = record.attributes
+        return Result(
+            run_id, path, record.status, attributes["wall_time"], attributes["real_time_factor"],
+            metrics.evaluate(record, plan.experiment.metrics), attributes["warnings"], attributes["error"],
+            attributes.get("stopped_at"), repeated=False,
+        )  # fmt: skip
+
+
+def _refuse_second_writer(path: Path) -> None:
+    for other in [path, *path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")]:
+        if other.exists() and is_taken(other):
+            raise being_written(other)
+
+
+def _beside(path: Path) -> Path:
+    """A free name next to a record that is there."""
+    return next(p for n in itertools.count(2) if not (p := path.with_name(f"{path.stem}.{n}{path.suffix}")).exists())

@@ -1,0 +1,559 @@
+/* The inner loop of the co-simulation master: gather, set, step, get, publish, record, by the addresses of the FMI
+   functions.  loop.py has the same in Python; both give the same rows, bit for bit.  What acts when is told in
+   master.py.
+
+   All arrays belong to numpy and stay where they are: a Loop keeps a reference to every object it was given. */
+
+#define Py_LIMITED_API 0x030B0000
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef _WIN32
+#include <windows.h>
+static double now(void) {
+    LARGE_INTEGER count, frequency;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&frequency);
+    return (double)count.QuadPart / (double)frequency.QuadPart;
+}
+#else
+#include <time.h>
+static double now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+#endif
+
+/* As variables.NUMBERS has them. */
+enum { REAL, INTEGER, BOOLEAN, FLOAT32, INT8, UINT8, INT16, UINT16, UINT32, INT64, UINT64, TRUTH, KINDS };
+enum { AT_ONCE, TICK_END, PERIOD_END, MOMENTS };
+enum { NOT_FINITE = -1 };
+enum { FMI_WARNING = 1, FMI_DISCARD, FMI_ERROR };
+
+typedef int Exchange(void *component, const uint32_t *references, size_t n, void *values);
+typedef int Exchange3(void *component, const uint32_t *references, size_t n, void *values, size_t n_values);
+typedef int DoStep(void *component, double t, double h, int no_going_back);
+typedef int DoStep3(void *component, double t, double h, bool no_going_back, bool *event, bool *terminate, bool *early,
+                    double *reached);
+typedef void Function(void);
+
+/* Values that follow one another in the table as they do in a setter's buffer. */
+typedef struct {
+    size_t source, target, n;
+} Run;
+
+/* A value on its way into a buffer: factor * value + offset.  As loop.py's array has it. */
+typedef struct {
+    int64_t kind, source, target;
+    double factor, offset;
+} Conversion;
+
+/* One getter or setter call. */
+typedef struct {
+    int kind;
+    Function *function; /* NULL: the step does it */
+    const uint32_t *references;
+    size_t n_references, n;
+    void *values;
+    Run *runs; /* of a setter: where its values come from */
+    size_t n_runs;
+    const Conversion *conversions;
+    size_t n_conversions;
+    int staged; /* floats that do not lie in the table: they are checked at once, the table after each tick */
+} Call;
+
+typedef struct {
+    int kind;
+    const void *values;
+    const Py_ssize_t *chosen, *targets;
+    size_t n;
+} Publication;
+
+typedef struct {
+    int version; /* of FMI */
+    void *component;
+    Function *step;
+    bool *answers; /* FMI 3.0: event, terminate, early */
+    double *reached;
+    double h;
+    Py_ssize_t period;
+    Call *sets, *gets;
+    size_t n_sets, n_gets;
+    Publication *published[MOMENTS];
+    size_t n_published[MOMENTS];
+} Member;
+
+/* Counts of what changes sign from one look to the next: see chatter.py. */
+typedef struct {
+    size_t n;
+    Py_ssize_t every;
+    const double *middle, *threshold;
+    double *before, *sum, *sum_abs, *largest;
+    int64_t *counts;
+} Alternations;
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *owners; /* of all memory below */
+    Member *members;
+    const Member **late; /* those that publish something at the end of a tick or period */
+    size_t n_members, n_late;
+    void *tables[KINDS];
+    size_t n_reals, n_float32; /* of the tables, computed by components */
+    const Py_ssize_t *recorded[KINDS];
+    size_t n_recorded[KINDS];
+    Alternations alternations;
+    double *seconds; /* (members, 3): of set, step and get in timed steps */
+    int64_t *samples;
+    Py_ssize_t sample_every, stride;
+    double overhead; /* of looking at the clock */
+    const int32_t *interrupt;
+    int holds_lock, records_inputs;
+} Loop;
+
+/* --- The loop ------------------------------------------------------------------------------------------------------- */
+
+static const uint8_t SIZES[KINDS] = {8, 4, 4, 4, 1, 1, 2, 2, 4, 8, 8, 1};
+
+static inline size_t size_of(int kind) { return SIZES[kind]; }
+
+/* to[targets[i]] = from[sources[i]]; without targets, in order. */
+static void scatter(void *to, const Py_ssize_t *targets, const void *from, const Py_ssize_t *sources, size_t n, int kind) {
+#define SCATTER(type)                                                                                                  \
+    for (size_t i = 0; i < n; i++) ((type *)to)[targets ? targets[i] : (Py_ssize_t)i] = ((const type *)from)[sources[i]]
+    switch (size_of(kind)) {
+    case 8: SCATTER(uint64_t); break;
+    case 4: SCATTER(uint32_t); break;
+    case 2: SCATTER(uint16_t); break;
+    default: SCATTER(uint8_t);
+    }
+#undef SCATTER
+}
+
+#define EACH_KIND(DO)                                                                                                  \
+    DO(REAL, double) DO(INTEGER, int32_t) DO(BOOLEAN, int32_t) DO(FLOAT32, float) DO(INT8, int8_t) DO(UINT8, uint8_t)  \
+    DO(INT16, int16_t) DO(UINT16, uint16_t) DO(UINT32, uint32_t) DO(INT64, int64_t) DO(UINT64, uint64_t)               \
+    DO(TRUTH, uint8_t)
+
+static double load(const void *table, int64_t place, int64_t kind) {
+    switch (kind) {
+#define LOAD(name, type) case name: return (double)((const type *)table)[place];
+        EACH_KIND(LOAD)
+#undef LOAD
+    }
+    return NAN;
+}
+
+static void store(void *values, int64_t place, int kind, double value) {
+    switch (kind) {
+#define STORE(name, type) case name: ((type *)values)[place] = (type)value; break;
+        EACH_KIND(STORE)
+#undef STORE
+    }
+}
+
+static void convert(const Call *c, void *const *tables) {
+    for (const Conversion *v = c->conversions, *end = v + c->n_conversions; v < end; v++)
+        store(c->values, v->target, c->kind, v->factor * load(tables[v->kind], v->source, v->kind) + v->offset);
+}
+
+static inline void copy(const Call *c, const Run *run, const void *table) {
+    size_t size = size_of(c->kind);
+    memcpy((char *)c->values + run->target * size, (const char *)table + run->source * size, run->n * size);
+}
+
+static void publish_all(const Loop *self, const Member *m, int moment) {
+    for (const Publication *p = m->published[moment], *end = p + m->n_published[moment]; p < end; p++)
+        scatter(self->tables[p->kind], p->targets, p->values, p->chosen, p->n, p->kind);
+}
+
+/* Adding one to an exponent of nothing but ones runs into the sign. */
+static int all_finite(const double *values, size_t n) {
+    uint64_t met = 0;
+    for (size_t i = 0; i < n; i++) {
+        uint64_t bits;
+        memcpy(&bits, values + i, sizeof bits);
+        met |= (bits & UINT64_C(0x7fffffffffffffff)) + UINT64_C(0x0010000000000000);
+    }
+    return !(met >> 63);
+}
+
+static int all_finite32(const float *values, size_t n) {
+    uint32_t met = 0;
+    for (size_t i = 0; i < n; i++) {
+        uint32_t bits;
+        memcpy(&bits, values + i, sizeof bits);
+        met |= (bits & UINT32_C(0x7fffffff)) + UINT32_C(0x00800000);
+    }
+    return !(met >> 31);
+}
+
+static int is_finite(const Call *c) {
+    if (c->kind == FLOAT32) return all_finite32(c->values, c->n);
+    return c->kind != REAL || all_finite(c->values, c->n);
+}
+
+static inline int exchange(const Member *m, const Call *c) {
+    if (m->version == 2) return ((Exchange *)c->function)(m->component, c->references, c->n_references, c->values);
+    return ((Exchange3 *)c->function)(m->component, c->references, c->n_references, c->values, c->n);
+}
+
+static inline int do_step(const Member *m, double t) {
+    if (m->version == 2) return ((DoStep *)m->step)(m->component, t, m->h, 1);
+    bool *a = m->answers;
+    int status = ((DoStep3 *)m->step)(m->component, t, m->h, true, &a[0], &a[1], &a[2], m->reached);
+    if ((unsigned)status > FMI_WARNING) return status;
+    return a[1] ? FMI_DISCARD : a[2] ? FMI_ERROR : status;
+}
+
+/* Returns 0, a status of FMI above fmi2Warning or below 0, or NOT_FINITE; marks: the times before set, step, get and
+   at the end, or NULL. */
+static int step(const Loop *self, const Member *m, double t, double *marks) {
+    int status;
+    if (marks) marks[0] = now();
+    for (const Call *c = m->sets, *end = c + m->n_sets; c < end; c++) {
+        for (size_t j = 0; j < c->n_runs; j++) copy(c, &c->runs[j], self->tables[c->kind]);
+        if (c->n_conversions) convert(c, self->tables);
+        if (!c->function) continue;
+        status = exchange(m, c);
+        if ((unsigned)status > FMI_WARNING) return status;
+    }
+    if (marks) marks[1] = now();
+    status = do_step(m, t);
+    if ((unsigned)status > FMI_WARNING) return status;
+    if (marks) marks[2] = now();
+    for (const Call *c = m->gets, *end = c + m->n_gets; c < end; c++) {
+        if (c->function) {
+            status = exchange(m, c);
+            if ((unsigned)status > FMI_WARNING) return status;
+        }
+        if (c->staged && !is_finite(c)) return NOT_FINITE;
+    }
+    if (m->n_published[AT_ONCE]) publish_all(self, m, AT_ONCE);
+    if (marks) marks[3] = now();
+    return 0;
+}
+
+static void add_times(const Loop *self, size_t member, const double *marks) {
+    for (int phase = 0; phase < 3; phase++) {
+        double seconds = marks[phase + 1] - marks[phase] - self->overhead;
+        if (seconds > 0.0) self->seconds[3 * member + phase] += seconds;
+    }
+    self->samples[member]++;
+}
+
+static void compare(const Alternations *a, const double *table) {
+    for (size_t i = 0; i < a->n; i++) {
+        double value = a->middle ? table[i] - a->middle[i] : table[i];
+        double product = value * a->before[i], size = fabs(product);
+        a->counts[i] += product < a->threshold[i];
+        a->sum[i] += product;
+        a->sum_abs[i] += size;
+        a->largest[i] = size > a->largest[i] ? size : a->largest[i];
+    }
+}
+
+/* phase: of the tick that has ended, 1 to `every`. */
+static void look(const Alternations *a, const double *table, Py_ssize_t phase) {
+    if (phase == 1) compare(a, table);
+    if (phase == a->every)
+        for (size_t i = 0; i < a->n; i++) a->before[i] = a->middle ? table[i] - a->middle[i] : table[i];
+}
+
+/* The first member that has given a value that is not finite. */
+static Py_ssize_t not_finite(const Loop *self) {
+    for (size_t i = 0; i < self->n_members; i++)
+        for (size_t j = 0; j < self->members[i].n_gets; j++)
+            if (!is_finite(&self->members[i].gets[j])) return (Py_ssize_t)i;
+    return 0;
+}
+
+/* Steps from tick `first` until `last`.  Returns the ticks done; *failed: the member that failed, or -1. */
+static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, const double *times, double patience,
+                          void *rows[KINDS], Py_ssize_t *failed, int *status) {
+    double deadline = now() + patience, marks[4];
+    size_t row = 0;
+    Py_ssize_t phase = first % self->alternations.every;
+    Py_ssize_t next_row = (first / self->stride + 1) * self->stride;
+    Py_ssize_t next_sample = (first + self->sample_every - 1) / self->sample_every * self->sample_every;
+    for (Py_ssize_t k = first; k < last; k++) {
+        int timed = k == next_sample;
+        if (*(volatile const int32_t *)self->interrupt || (timed && now() > deadline)) return k;
+        if (timed) next_sample += self->sample_every;
+        for (size_t i = 0; i < self->n_members; i++) {
+            const Member *m = &self->members[i];
+            if (m->period > 1 && k % m->period) continue;
+            *status = step(self, m, times[k - first], timed ? marks : NULL);
+            if (*status) {
+                *failed = (Py_ssize_t)i;
+                return k;
+            }
+            if (timed) add_times(self, i, marks);
+        }
+        if (!all_finite(self->tables[REAL], self->n_reals) ||
+            !all_finite32(self->tables[FLOAT32], self->n_float32)) {
+            *failed = not_finite(self);
+            *status = NOT_FINITE;
+            return k;
+        }
+        for (size_t i = 0; i < self->n_late; i++) {
+            const Member *m = self->late[i];
+            if (m->period == 1 || k % m->period == 0) publish_all(self, m, TICK_END);
+            if (m->period == 1 || (k + 1) % m->period == 0) publish_all(self, m, PERIOD_END);
+        }
+        phase = phase == self->alternations.every ? 1 : phase + 1;
+        look(&self->alternations, self->tables[REAL], phase);
+        if (k + 1 == next_row) {
+            for (int kind = 0; kind < KINDS; kind++) {
+                size_t n = self->n_recorded[kind], size = size_of(kind);
+                if (n) scatter((char *)rows[kind] + row * n * size, NULL, self->tables[kind], self->recorded[kind], n, kind);
+            }
+            row++;
+            next_row += self->stride;
+        }
+    }
+    return last;
+}
+
+/* --- From Python ---------------------------------------------------------------------------------------------------- */
+
+/* The memory of an array, and how many items it has where n is given.  Returns NULL with an exception set where items
+   are of another size. */
+static void *memory_of(PyObject *array, size_t item, size_t *n) {
+    static char nothing[8];
+    Py_buffer view;
+    if (PyObject_GetBuffer(array, &view, PyBUF_ANY_CONTIGUOUS) < 0) return NULL;
+    void *memory = view.len ? view.buf : nothing;
+    int fits = (size_t)view.itemsize == item;
+    if (n) *n = (size_t)view.len / item;
+    PyBuffer_Release(&view);
+    if (!fits) PyErr_Format(PyExc_TypeError, "items of %zu bytes are needed", item);
+    return fits ? memory : NULL;
+}
+
+/* Sources and targets that follow one another are one run. */
+static int find_runs(Call *c, PyObject *places) {
+    PyObject *first, *second;
+    size_t n;
+    if (!PyArg_ParseTuple(places, "OO", &first, &second)) return -1;
+    const Py_ssize_t *sources = memory_of(first, sizeof(Py_ssize_t), &n);
+    const Py_ssize_t *targets = sources ? memory_of(second, sizeof(Py_ssize_t), NULL) : NULL;
+    if (!targets) return -1;
+    c->runs = calloc(n + 1, sizeof *c->runs);
+    if (!c->runs) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < n; i++)
+        if (i && sources[i] == sources[i - 1] + 1 && targets[i] == targets[i - 1] + 1) c->runs[c->n_runs - 1].n++;
+        else c->runs[c->n_runs++] = (Run){(size_t)sources[i], (size_t)targets[i], 1};
+    return 0;
+}
+
+/* {(kind, address, references, values, (sources, targets) or None, conversions or None)} */
+static int parse_calls(PyObject *list, Call **calls, size_t *n) {
+    *n = (size_t)PyList_Size(list);
+    *calls = calloc(*n + 1, sizeof **calls);
+    if (!*calls) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < *n; i++) {
+        Call *c = &(*calls)[i];
+        PyObject *address, *references, *values, *places, *conversions;
+        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOOOO", &c->kind, &address, &references, &values,
+                              &places, &conversions))
+            return -1;
+        c->function = (Function *)PyLong_AsVoidPtr(address);
+        if (PyErr_Occurred()) return -1;
+        if (!(c->references = memory_of(references, sizeof(uint32_t), &c->n_references))) return -1;
+        if (!(c->values = memory_of(values, size_of(c->kind), &c->n))) return -1;
+        if (places != Py_None && find_runs(c, places) < 0) return -1;
+        if (conversions == Py_None) continue;
+        if (!(c->conversions = memory_of(conversions, sizeof(Conversion), &c->n_conversions))) return -1;
+    }
+    return 0;
+}
+
+/* {(kind, values, chosen, targets)} */
+static int parse_publications(PyObject *list, Publication **publications, size_t *n) {
+    *n = (size_t)PyList_Size(list);
+    *publications = calloc(*n + 1, sizeof **publications);
+    if (!*publications) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < *n; i++) {
+        Publication *p = &(*publications)[i];
+        PyObject *values, *chosen, *targets;
+        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOO", &p->kind, &values, &chosen, &targets))
+            return -1;
+        if (!(p->values = memory_of(values, size_of(p->kind), NULL))) return -1;
+        if (!(p->chosen = memory_of(chosen, sizeof(Py_ssize_t), &p->n))) return -1;
+        if (!(p->targets = memory_of(targets, sizeof(Py_ssize_t), NULL))) return -1;
+    }
+    return 0;
+}
+
+static int parse_member(PyObject *tuple, Member *m) {
+    PyObject *component, *function, *answers, *sets, *gets, *published[MOMENTS];
+    if (!PyArg_ParseTuple(tuple, "iOOOdnO!O!(O!O!O!)", &m->version, &component, &function, &answers, &m->h, &m->period,
+                          &PyList_Type, &sets, &PyList_Type, &gets, &PyList_Type, &published[0], &PyList_Type,
+                          &published[1], &PyList_Type, &published[2]))
+        return -1;
+    m->component = PyLong_AsVoidPtr(component);
+    m->step = (Function *)PyLong_AsVoidPtr(function);
+    if (PyErr_Occurred()) return -1;
+    if (answers != Py_None) {
+        PyObject *flags, *reached;
+        if (!PyArg_ParseTuple(answers, "OO", &flags, &reached)) return -1;
+        if (!(m->answers = memory_of(flags, sizeof(bool), NULL))) return -1;
+        if (!(m->reached = memory_of(reached, sizeof(double), NULL))) return -1;
+    }
+    if (parse_calls(sets, &m->sets, &m->n_sets) < 0 || parse_calls(gets, &m->gets, &m->n_gets) < 0) return -1;
+    for (int moment = 0; moment < MOMENTS; moment++)
+        if (parse_publications(published[moment], &m->published[moment], &m->n_published[moment]) < 0) return -1;
+    return 0;
+}
+
+/* The memory of one array of each kind. */
+static int memories_of(PyObject *tuple, int positions, void *memory[KINDS], size_t n[KINDS]) {
+    for (int kind = 0; kind < KINDS; kind++) {
+        PyObject *array = PyTuple_GetItem(tuple, kind);
+        if (!array) return -1;
+        size_t item = positions ? sizeof(Py_ssize_t) : size_of(kind);
+        if (!(memory[kind] = memory_of(array, item, n ? &n[kind] : NULL))) return -1;
+    }
+    return 0;
+}
+
+static int parse_alternations(PyObject *tuple, Alternations *a) {
+    PyObject *before, *middle, *threshold, *counts, *sum, *sum_abs, *largest;
+    if (!PyArg_ParseTuple(tuple, "nOOOOOOO", &a->every, &before, &middle, &threshold, &counts, &sum, &sum_abs,
+                          &largest))
+        return -1;
+    if (!(a->before = memory_of(before, sizeof(double), &a->n))) return -1;
+    if (middle != Py_None && !(a->middle = memory_of(middle, sizeof(double), NULL))) return -1;
+    if (!(a->threshold = memory_of(threshold, sizeof(double), NULL))) return -1;
+    if (!(a->counts = memory_of(counts, sizeof(int64_t), NULL))) return -1;
+    if (!(a->sum = memory_of(sum, sizeof(double), NULL))) return -1;
+    if (!(a->sum_abs = memory_of(sum_abs, sizeof(double), NULL))) return -1;
+    if (!(a->largest = memory_of(largest, sizeof(double), NULL))) return -1;
+    return 0;
+}
+
+static void loop_dealloc(Loop *self) {
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    for (size_t i = 0; self->members && i < self->n_members; i++) {
+        for (size_t j = 0; self->members[i].sets && j < self->members[i].n_sets; j++) free(self->members[i].sets[j].runs);
+        free(self->members[i].sets);
+        free(self->members[i].gets);
+        for (int moment = 0; moment < MOMENTS; moment++) free(self->members[i].published[moment]);
+    }
+    free(self->members);
+    free(self->late);
+    Py_XDECREF(self->owners);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF(type);
+}
+
+/* Values that lie in the table as the setter wants them need no copy. */
+static void use_in_place(const Loop *self, Call *c) {
+    if (self->records_inputs || c->n_runs != 1 || c->runs[0].n != c->n || !c->function) return;
+    c->values = (char *)self->tables[c->kind] + c->runs[0].source * size_of(c->kind);
+    c->n_runs = 0;
+}
+
+static int is_staged(const Loop *self, const Call *c) {
+    if (c->kind != REAL && c->kind != FLOAT32) return 0;
+    const char *table = self->tables[c->kind], *values = c->values;
+    return values < table || values >= table + (c->kind == REAL ? self->n_reals : self->n_float32) * size_of(c->kind);
+}
+
+static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
+    PyObject *members, *tables, *recorded, *alternations, *seconds, *samples, *interrupt;
+    void *places[KINDS];
+    if (self->owners) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
+    if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
+    if (!PyArg_ParseTuple(arguments, "O!O!(nn)O!O!(OOn)Onpp", &PyList_Type, &members, &PyTuple_Type, &tables,
+                          &self->n_reals, &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations,
+                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock,
+                          &self->records_inputs))
+        return -1;
+    self->owners = Py_NewRef(arguments);
+    if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
+        return -1;
+    for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
+    if (parse_alternations(alternations, &self->alternations) < 0) return -1;
+    if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
+    if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
+    if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
+    self->members = calloc((size_t)PyList_Size(members) + 1, sizeof *self->members);
+    self->late = calloc((size_t)PyList_Size(members) + 1, sizeof *self->late);
+    if (!self->members || !self->late) return PyErr_NoMemory(), -1;
+    for (Py_ssize_t i = 0; i < PyList_Size(members); i++) {
+        self->n_members++;
+        Member *m = &self->members[i];
+        if (parse_member(PyList_GetItem(members, i), m) < 0) return -1;
+        for (size_t j = 0; j < m->n_sets; j++) use_in_place(self, &m->sets[j]);
+        for (size_t j = 0; j < m->n_gets; j++) m->gets[j].staged = is_staged(self, &m->gets[j]);
+        if (m->n_published[TICK_END] || m->n_published[PERIOD_END]) self->late[self->n_late++] = m;
+    }
+    self->overhead = 1.0;
+    for (int i = 0; i < 100; i++) {
+        double began = now(), took = now() - began;
+        if (took < self->overhead) self->overhead = took;
+    }
+    return 0;
+}
+
+static PyObject *loop_advance(Loop *self, PyObject *arguments) {
+    PyObject *times, *rows;
+    Py_ssize_t first, last, done, failed = -1;
+    double patience;
+    void *memory[KINDS], *start;
+    int status = 0;
+    if (!PyArg_ParseTuple(arguments, "nnOdO!", &first, &last, &times, &patience, &PyTuple_Type, &rows))
+        return NULL;
+    if (!(start = memory_of(times, sizeof(double), NULL))) return NULL;
+    if (memories_of(rows, 0, memory, NULL) < 0) return NULL;
+    if (self->holds_lock) {
+        done = advance(self, first, last, start, patience, memory, &failed, &status);
+    } else {
+        Py_BEGIN_ALLOW_THREADS
+        done = advance(self, first, last, start, patience, memory, &failed, &status);
+        Py_END_ALLOW_THREADS
+    }
+    return Py_BuildValue("nni", done, failed, status);
+}
+
+static PyMethodDef loop_methods[] = {
+    {"advance", (PyCFunction)loop_advance, METH_VARARGS,
+     "advance(first, last, times, patience, rows) -> (ticks done, failed member or -1, status)\n\n"
+     "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; rows: an array of each kind."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot loop_slots[] = {
+    {Py_tp_doc, "Loop(members, tables, computed, recorded, alternations, (seconds, samples, every), interrupt, stride, "
+                "holds_lock, records_inputs); see loop.py"},
+    {Py_tp_init, loop_init},
+    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_dealloc, loop_dealloc},
+    {Py_tp_methods, loop_methods},
+    {0, NULL},
+};
+
+static PyType_Spec loop_spec = {"orchestrator.simulation._loop.Loop", sizeof(Loop), 0, Py_TPFLAGS_DEFAULT, loop_slots};
+
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "_loop", .m_doc = "The inner loop, compiled.",
+                                    .m_size = -1};
+
+PyMODINIT_FUNC PyInit__loop(void) {
+    PyObject *self = PyModule_Create(&module), *type = self ? PyType_FromSpec(&loop_spec) : NULL;
+    if (!type || PyModule_AddObjectRef(self, "Loop", type) < 0) {
+        Py_XDECREF(type);
+        Py_XDECREF(self);
+        return NULL;
+    }
+    Py_DECREF(type);
+    return self;
+}

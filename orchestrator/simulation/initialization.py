@@ -1,0 +1,189 @@
+"""Consistent initial values: outputs that agree with the inputs, in initialization mode.
+
+Components exchange values in the order in which they depend on each other, then all in turn until nothing changes any
+more.  Where that does not settle, what depends on itself is solved for by Newton's method, with finite differences and
+shortened steps where a full one does not help.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..fmu.variables import FLOATS
+from ..plan.feedthrough import Cycle, cycles, dependencies
+from ..plan.feedthrough import components as components_of
+from .component import Input, Member, failing
+
+if TYPE_CHECKING:
+    from .system import System
+
+SWEEPS = 100
+TOLERANCE = 1e-10  # of a value, or of 1 where it is smaller
+ITERATIONS = 50
+HALVINGS = 20
+DIFFERENCE = 6e-6  # the cube root of the rounding error, for central differences
+
+
+class AlgebraicLoop(Exception):
+    """The initial values do not settle."""
+
+
+def settle(system: System) -> list[str]:
+    """Exchange values until they agree; returns what there is to say.
+
+    Raises MemberFailed, or AlgebraicLoop where neither sweeps nor Newton's method find values that agree.
+    """
+    loops = cycles(system.plan, initial=True)
+    first = [input.buffer.copy() for member in system.members for input in member.inputs]
+    members = {member.part.name: member for member in system.members}
+    for name in _schedule(system):
+        exchange(members[name])
+    for _ in range(SWEEPS):
+        before = {kind: table.copy() for kind, table in system.tables.items()}
+        for member in system.members:
+            exchange(member)
+        changes = _changes(system, before)
+        if not changes:
+            return []
+    if all(abs(now - was) <= TOLERANCE * max(1.0, abs(now)) for _, was, now in changes if not isinstance(now, bytes)):
+        return []
+    buffers = [input.buffer for member in system.members for input in member.inputs]
+    for buffer, values in zip(buffers, first, strict=True):
+        buffer[:] = values
+    return _Newton(system, loops, [name for name, _, _ in changes]).solve()
+
+
+def exchange(member: Member, held: Sequence[tuple[Any, int, float]] = ()) -> None:
+    """Give a component its inputs and take its outputs.  held: (buffer, place, value) in place of what is connected.
+
+    Raises MemberFailed.
+    """
+    for gather in member.gathers:
+        gather()
+    for buffer, place, value in held:
+        buffer[place] = value
+    with failing(member):
+        for set_ in member.sets:
+            member.instance.check(set_())
+    read(member)
+
+
+def read(member: Member) -> None:
+    """Take a component's outputs.  Raises MemberFailed."""
+    with failing(member):
+        for get in member.gets:
+            member.instance.check(get())
+    for publish in itertools.chain(*member.publish):
+        publish()
+
+
+def _schedule(system: System) -> list[str]:
+    """Components in the order in which values flow: one exchange wherever an output needs inputs that are new."""
+    graph = dependencies(system.plan, initial=True)
+    stale = {member.part.name for member in system.members}
+    order = []
+    for port in itertools.chain(*components_of(graph)):
+        component, _ = port
+        is_input = bool(graph[port]) and graph[port][0][0] != component
+        if is_input:
+            stale.add(component)
+        elif component in stale:
+            stale.discard(component)
+            order.append(component)
+    return order
+
+
+def _changes(system: System, before: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Name, value then and value now of everything that changed; a nan is reported later, as what it is."""
+    return [
+        (name, a, b)
+        for kind, table in system.tables.items()
+        for name, a, b in zip(system.names[kind], before[kind].tolist(), table.tolist(), strict=True)
+        if a != b and a == a
+    ]
+
+
+class _Newton:
+    """Solves x = G(x) for the inputs within cycles: G gives what the outputs make of them."""
+
+    def __init__(self, system: System, loops: Sequence[Cycle], changed: Sequence[str]):
+        self._system, self._loops, self._changed = system, loops, changed
+        ports = {port for loop in loops for port in loop.ports}
+        self._places: list[tuple[Member, Input, int]] = [
+            (member, input, place)
+            for member in system.members
+            for input in member.inputs
+            if input.kind in FLOATS
+            for place, variable in enumerate(input.variables)
+            if (member.part.name, variable.name) in ports
+        ]
+
+    def solve(self) -> list[str]:
+        if not self._places:
+            raise self._failure("nothing in it is a real number to solve for")
+        x = np.array([input.buffer[place] for _, input, place in self._places], dtype=float)
+        residual = self._residual(x)
+        for iteration in range(ITERATIONS):
+            if (np.abs(residual) <= TOLERANCE * np.maximum(1.0, np.abs(x))).all():
+                self._evaluate(x)
+                return [f"the initial values of {self._shown()} were found by Newton's method in {iteration} steps: "
+                        "there may be other solutions"]  # fmt: skip
+            x, residual = self._step(x, residual)
+        raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains after {ITERATIONS} steps")
+
+    def _step(self, x: Any, residual: Any) -> tuple[Any, Any]:
+        try:
+            direction = np.linalg.solve(self._jacobian(x), -residual)
+        except np.linalg.LinAlgError:
+            raise self._failure("its equations are singular") from None
+        for halving in range(HALVINGS):
+            moved = x + direction / 2**halving
+            found = self._residual(moved)
+            if np.isfinite(found).all() and np.linalg.norm(found) < np.linalg.norm(residual):
+                return moved, found
+        raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains, and no step lessens it")
+
+    def _jacobian(self, x: Any) -> Any:
+        columns = []
+        for i, value in enumerate(x):
+            step = DIFFERENCE * max(1.0, abs(value))
+            ahead, behind = x.copy(), x.copy()
+            ahead[i] += step
+            behind[i] -= step
+            columns.append((self._residual(ahead) - self._residual(behind)) / (ahead[i] - behind[i]))
+        return np.column_stack(columns)
+
+    def _residual(self, x: Any) -> Any:
+        """G(x) - x."""
+        self._evaluate(x)
+        for member in {id(member): member for member, _, _ in self._places}.values():
+            for gather in member.gathers:
+                gather()
+        return np.array([input.buffer[place] for _, input, place in self._places], dtype=float) - x
+
+    def _evaluate(self, x: Any) -> None:
+        """All components with those inputs held at x, so often that what depends on them has followed."""
+        for _ in range(SWEEPS):
+            before = {kind: table.copy() for kind, table in self._system.tables.items()}
+            for member in self._system.members:
+                held = [
+                    (input.buffer, place, value)
+                    for (owner, input, place), value in zip(self._places, x, strict=True) if owner is member
+                ]  # fmt: skip
+                exchange(member, held)
+            if not _changes(self._system, before):
+                return
+
+    def _failure(self, reason: str) -> AlgebraicLoop:
+        return AlgebraicLoop(f"the initial values do not settle in {SWEEPS} sweeps, an algebraic loop through "
+                             f"{self._shown()}; {reason}; break it with a component whose output does not depend on "
+                             "its input at once")  # fmt: skip
+
+    def _shown(self) -> str:
+        if self._loops:
+            return "; ".join(map(str, self._loops))
+        return ", ".join(self._changed[:12]) + (", ..." if len(self._changed) > 12 else "")

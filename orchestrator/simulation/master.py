@@ -1,0 +1,198 @@
+"""The co-simulation master.
+
+At tick k, time t = k * step, every component that is due steps from t to the end of its own period, in the order of the
+experiment.  When its results become visible to the others:
+
+    gauss-seidel, period of one tick     at once: components listed later use them in the same tick
+    jacobi, period of one tick           when all components have stepped
+    a longer period                      what depends on an input at once (a control law): as above, and it is held;
+                                         the rest (a state, a reference) belongs to the end of the period and is
+                                         visible from then on
+
+So a command computed from the state at t acts from t, and nothing is seen before its time.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ..instances.fmi2 import DISCARD
+from ..instances.live import Live
+from ..runs.checkpoint.resume import resume
+from .chatter import Alternations
+from .component import MemberFailed
+from .initialization import AlgebraicLoop
+from .loop import Block, Interrupt, Loop, choose
+from .system import System
+from .timing import Timing
+
+CHUNK_SECONDS = 0.02  # of wall time between two looks at the outside world
+CHUNK_BYTES = 1 << 23  # of rows
+
+
+@dataclass
+class Outcome:
+    """How a run ended.  Times in s."""
+
+    status: str  # completed, failed or interrupted
+    ticks: int = 0  # at which it ended
+    error: str = ""
+    failed_at: float | None = None
+    stopped_at: float | None = None
+    last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
+    heard: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)  # by components that steer: see builtin
+    warnings: list[str] = field(default_factory=list)
+    timing: dict[str, Any] = field(default_factory=dict)  # see timing
+    calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
+
+
+class Observer(Protocol):
+    """Sees every row, in order, and changes nothing."""
+
+    def rows(self, block: Block) -> None: ...
+
+    def progress(self, tick: int) -> None: ...
+
+
+class Watcher:
+    """An observer that looks at the system itself, between chunks: the ones below do nothing unless overridden."""
+
+    def rows(self, block: Block) -> None: ...
+
+    def progress(self, tick: int) -> None: ...
+
+    def opened(self, system: System) -> None:
+        """The system is initialized; its `tables` hold the values of each `progress`, to read."""
+
+    def limit(self, tick: int, last: int) -> int:
+        """Where a chunk from `tick` ends that would go on to `last`: after `tick`, at most there."""
+        return last
+
+    def facts(self) -> dict[str, Any]:
+        """What the record shall tell of it beside where the time went."""
+        return {}
+
+
+def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
+    """Run the opened system to its end, to a failure, or until `interrupt` is set."""
+    outcome, interrupt = Outcome("completed", system.plan.first), interrupt or Interrupt()
+    try:
+        outcome.warnings += system.plan.warnings
+        outcome.warnings += resume(system) if system.plan.origin else system.initialize()
+        outcome.calculated = system.calculated()
+        for observer in observers:
+            if isinstance(observer, Watcher):
+                observer.opened(system)
+        _step_all(system, observers, outcome, interrupt)
+    except MemberFailed as failure:
+        _fail(system, outcome, _cause(system, failure), interrupt)
+    except AlgebraicLoop as loop:
+        outcome.status, outcome.error = "failed", str(loop)
+        outcome.failed_at = system.plan.experiment.grid.time(outcome.ticks)
+    outcome.heard = {m.part.name: m.instance.heard for m in system.members if isinstance(m.instance, Live)}
+    outcome.warnings += [
+        f"{member.part.name}: {words}" for member in system.members for words in member.instance.take_messages()
+    ]
+    return outcome
+
+
+def _cause(system: System, failure: MemberFailed) -> MemberFailed:
+    """What gave a value that is not finite failed before what choked on it in the same step."""
+    for member in system.members:
+        if member is not failure.member and (words := member.not_finite()):
+            return MemberFailed(member, words)
+    return failure
+
+
+def _fail(system: System, outcome: Outcome, failure: MemberFailed, interrupt: Interrupt) -> None:
+    grid = system.plan.experiment.grid
+    if interrupt.is_set() and failure.member.instance.batched:  # and did not answer
+        outcome.status = "interrupted"
+        outcome.error = f"interrupted at t = {grid.time(outcome.ticks):.10g} s; {failure.name!r}: {failure}"
+        return
+    if failure.status == DISCARD and failure.member.instance.wants_to_end():
+        outcome.stopped_at = grid.time(outcome.ticks)
+        return
+    outcome.status = "failed"
+    outcome.failed_at = grid.time(outcome.ticks)
+    outcome.error = f"{failure.name!r} failed at t = {outcome.failed_at:.10g} s: {failure}"
+    outcome.last_inputs = failure.member.last_inputs()
+
+
+def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt) -> None:
+    alternations = Alternations(system)
+    timing = Timing([part.period for part in system.plan.parts])
+    loop = choose(system, alternations, timing, interrupt)
+    watchers = [observer for observer in observers if isinstance(observer, Watcher)]
+    _hand_over(loop, observers)
+    first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
+    began = time.perf_counter()
+    try:
+        while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
+            since = time.perf_counter()
+            try:
+                last = min(steps, loop.ticks + chunk)
+                for watcher in watchers:
+                    last = watcher.limit(loop.ticks, last)
+                loop.advance(last, CHUNK_SECONDS)
+            except MemberFailed as failure:
+                if not _ends_with_its_step(system, loop.ticks, failure):
+                    raise
+                loop.complete(system.members.index(failure.member))
+                outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
+            finally:
+                outcome.ticks = loop.ticks
+                _hand_over(loop, observers)
+            elapsed = time.perf_counter() - since
+            chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
+            for observer in observers:
+                observer.progress(loop.ticks)
+    finally:  # a run that fails, or that an FMU ends, is judged too
+        timing.stepping = time.perf_counter() - began
+        outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks - first, loop.name)
+        for watcher in watchers:
+            outcome.timing |= watcher.facts()
+        outcome.warnings += alternations.warnings(loop.ticks - first)
+    if loop.ticks < steps and outcome.stopped_at is None:
+        outcome.status = "interrupted"
+        outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
+
+
+def _ends_with_its_step(system: System, tick: int, failure: MemberFailed) -> bool:
+    """Whether an FMU asks to end the simulation at the end of the step that it was asked for."""
+    if failure.status != DISCARD or not failure.member.instance.wants_to_end():
+        return False
+    end = system.plan.experiment.grid.time(tick + failure.member.part.period)
+    return failure.member.instance.has_reached(end)
+
+
+def _hand_over(loop: Loop, observers: Sequence[Observer]) -> None:
+    for block in loop.take():
+        for observer in observers:
+            observer.rows(block)
+
+
+def _largest_chunk(system: System) -> int:
+    """Ticks whose rows take CHUNK_BYTES."""
+    row = sum(8 * len(places) for places in system.recorded.values())
+    return system.plan.stride * max(1, CHUNK_BYTES // max(1, row))
+
+
+@contextmanager
+def interruptible() -> Iterator[Interrupt]:
+    """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
+    interrupt = Interrupt()
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupt
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: interrupt.set())
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,269 @@
+"""The live system: instances of the FMUs, and one table of values that they read from and write to.
+
+Every scalar that somebody reads, writes or records has a place in a table of its kind (real, integer, boolean, string):
+first the outputs of the components, in order, then their inputs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..fmu.fmu import Fmu, unpack
+from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
+from ..instances.fmi2 import Instance, Library
+from ..instances.fmi3 import Instance3
+from ..instances.isolated import Remote
+from ..instances.live import Live
+from ..instances.scratch import Scratch
+from ..plan.plan import Link, Part, Plan
+from .component import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, MemberFailed, Publication, failing
+from .initialization import read, settle
+
+Context = Mapping[str, Mapping[str, Any]]
+
+_loaded_modules: dict[str, str] = {}  # by Python FMUs of this process: their digests
+
+
+class Shelf:
+    """Where unpacked and loaded FMUs come from."""
+
+    def unpack(self, fmu: Fmu, folder: Path) -> None:
+        """Have the FMU's files in the folder.  Raises FmuError."""
+        unpack(fmu, folder)
+
+    def library(self, fmu: Fmu, folder: Path) -> Library:
+        """Its library, from the folder.  Raises FmuError."""
+        return Library(fmu, folder)
+
+
+class System:
+    """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
+    outputs; `recorded`: {kind: places}."""
+
+    def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, shelf: Shelf):
+        self.plan, self._interrupted, self._context, self._shelf = plan, interrupted, context, shelf
+        self.members: list[Member] = []
+        self.tables: dict[str, Any] = {}
+        self.recorded: dict[str, Any] = {}
+        self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
+        self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
+        self._folder = Scratch()
+        try:
+            self._instantiate()
+            self._wire()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(
+        cls, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None,
+        shelf: Shelf | None = None,
+    ) -> Iterator[System]:  # fmt: skip
+        """Instantiate the FMUs; frees them at the end.
+
+        context: {component: what a builtin may need}; shelf: where unpacked FMUs come from, anew where it is None.
+
+        Raises FmuError where one cannot be instantiated, KeyboardInterrupt where it was `interrupted` meanwhile.
+        """
+        system = cls(plan, interrupted, context or {}, shelf or Shelf())
+        try:
+            yield system
+        finally:
+            system.close()
+
+    def close(self) -> None:
+        for member in self.members:
+            member.instance.close()
+        sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
+        self._folder.close()
+
+    def initialize(self) -> list[str]:
+        """Initialization mode: parameters, start values, and outputs that agree with the inputs.
+
+        Returns what there is to say.  Raises MemberFailed, or AlgebraicLoop.
+        """
+        stop_time = self.plan.experiment.master.stop_time
+        for member in self.members:
+            part = member.part
+            fits = self.plan.steps % part.period == 0  # else its last step ends beyond the stop time
+            with failing(member):
+                member.instance.setup(0.0, stop_time if fits else None, {**part.parameters, **part.start})
+        notes = settle(self)
+        for member in self.members:
+            with failing(member):
+                member.instance.begin()
+        for member in self.members:
+            read(member)
+            if member.not_finite():
+                raise MemberFailed(member, member.not_finite())
+        return notes
+
+    def calculated(self) -> dict[str, dict[str, Any]]:
+        """{component: {parameter: value}} of the parameters that FMUs calculate themselves, once initialized.
+
+        Raises MemberFailed.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        for member in self.members:
+            chosen = [v for v in member.part.fmu.variables.values() if v.causality == "calculatedParameter"]
+            for kind in NUMBERS:
+                with failing(member):
+                    values = member.instance.values([v for v in chosen if v.kind == kind and not v.element])
+                if values:
+                    found.setdefault(member.part.name, {}).update(values)
+        return found
+
+    def _instantiate(self) -> None:
+        libraries: dict[Path, Library] = {}
+        folders: dict[Path, Path] = {}
+        for part in self.plan.parts:
+            if self._interrupted():
+                raise KeyboardInterrupt
+            path = part.fmu.path
+            if path not in folders and not part.live:
+                folders[path] = self._folder.path / str(len(folders)) / part.fmu.model_identifier
+                self._shelf.unpack(part.fmu, folders[path])
+            if part.live:
+                context = {"interrupted": self._interrupted, **self._context.get(part.name, {})}
+                instance: Instance = Live(part.name, part.fmu, context, context.get("replay"))
+            else:
+                instance = self._instance(part, folders[path], libraries)
+            self.members.append(Member(part, instance, self._step_of(part)))
+        # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
+        ours = [p for p in sys.path if p.startswith(str(self._folder.path))]
+        sys.path[:] = [p for p in sys.path if p not in ours] + ours
+
+    def _instance(self, part: Part, folder: Path, libraries: dict[Path, Library]) -> Instance:
+        path = part.fmu.path
+        if part.isolated or _clash(part.fmu):
+            isolated = sum(isinstance(member.instance, Remote) for member in self.members) + 1
+            spin = isolated < len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else False
+            return Remote(part.name, part.fmu, folder, part.timeout, spin, self._interrupted)
+        if path not in libraries:
+            _loaded_modules.update(part.fmu.python_modules)
+            libraries[path] = self._shelf.library(part.fmu, folder)
+        return (Instance if part.fmu.version == 2 else Instance3)(part.name, libraries[path])
+
+    def _step_of(self, part: Part) -> float:
+        """Of the component [s]."""
+        return self.plan.experiment.grid.time(part.period) if part.period > 1 else self.plan.experiment.master.step
+
+    def _wire(self) -> None:
+        plan = self.plan
+        links = {(k.sink, k.input.name): k for k in plan.links}
+        read = {(k.source, k.output.name): k.output for k in plan.links} | {
+            (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
+        }
+        fmus = {part.name: part.fmu for part in plan.parts}
+        outputs = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality != "input"))
+        # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
+        driven = _Ports(fmus, ((k.sink, k.input) for k in plan.links))
+        held = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality == "input"), besides=driven)
+        place = self.places
+
+        def reserve(part: Part, ports: _Ports) -> None:
+            for kind in KINDS:
+                for variable in ports.of(part.name, kind):
+                    place[part.name, variable.name] = len(self.names[kind])
+                    self.names[kind].append(f"{part.name}.{variable.name}")
+
+        for part in plan.parts:
+            reserve(part, outputs)
+        self.computed = {kind: len(names) for kind, names in self.names.items()}
+        for part in plan.parts:
+            reserve(part, driven)
+            reserve(part, held)
+        for kind in KINDS:
+            start: Any = b"" if kind in OBJECTS else 0
+            self.tables[kind] = np.full(len(self.names[kind]), start, dtype=DTYPES[kind])
+            places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
+            self.recorded[kind] = np.array(places, dtype=np.intp)
+        for member in self.members:
+            name = member.part.name
+            for kind in KINDS:
+                for variable in [*driven.of(name, kind), *held.of(name, kind)]:
+                    value = member.part.start.get(variable.name, variable.initial)
+                    self.tables[kind][place[name, variable.name]] = value.encode() if kind == "string" else value
+                if variables := driven.of(name, kind):
+                    self._wire_inputs(member, kind, variables, place, [links.get((name, v.name)) for v in variables])
+                if variables := outputs.of(name, kind):
+                    self._wire_outputs(member, kind, variables, place[name, variables[0].name])
+
+    def _wire_inputs(
+        self, member: Member, kind: str, variables: list[Variable], place: Mapping[tuple[str, str], int],
+        links: list[Link | None],
+    ) -> None:  # fmt: skip
+        first, n = place[member.part.name, variables[0].name], len(variables)
+        buffer = self.tables[kind][first : first + n]
+        if member.instance.batched:
+            buffer = member.instance.room(kind, n)
+            buffer[:] = self.tables[kind][first : first + n]
+        sources, targets, conversions = [], [], []
+        for target, link in enumerate(links):
+            if link is None:  # an element of an array of which others are connected
+                continue
+            source = place[link.source, link.output.name]
+            if link.direct:
+                sources.append(source)
+                targets.append(target)
+            else:
+                conversions.append(Conversion(link.output.kind, source, target, link.factor, link.offset))
+        direct = np.array(sources, dtype=np.intp), np.array(targets, dtype=np.intp)
+        computed = {kind: table[: self.computed[kind]] for kind, table in self.tables.items()}
+        member.reads(Input(kind, variables, buffer, *direct, conversions), computed)
+        if member.instance.batched and self.plan.experiment.record.inputs:
+            everything = np.arange(n, dtype=np.intp)
+            member.publishes(Publication(kind, AT_ONCE, buffer, everything, everything + first), self.tables[kind])
+
+    def _wire_outputs(self, member: Member, kind: str, variables: list[Variable], first: int) -> None:
+        table, n = self.tables[kind], len(variables)
+        jacobi = self.plan.experiment.master.algorithm == "jacobi"
+        if member.part.period == 1 and not jacobi and not member.instance.batched:
+            buffer = table[first : first + n]
+        else:
+            buffer = member.instance.room(kind, n) if member.instance.batched else np.zeros(n, dtype=DTYPES[kind])
+            at_once = [i for i, v in enumerate(variables) if v.feedthrough or member.part.period == 1]
+            later = [i for i in range(n) if i not in at_once]
+            for chosen, moment in ((at_once, TICK_END if jacobi else AT_ONCE), (later, PERIOD_END)):
+                if chosen:
+                    places = np.array(chosen, dtype=np.intp)
+                    member.publishes(Publication(kind, moment, buffer, places, places + first), table)
+        if kind == "real":
+            member.reals, member.places = variables, range(first, first + n)
+        member.gives(kind, variables, buffer)
+
+
+class _Ports:
+    """Variables by component and kind, in the order of the FMU; of an array all elements, but for those `besides`."""
+
+    def __init__(
+        self, fmus: Mapping[str, Fmu], ports: Iterable[tuple[str, Variable]], besides: _Ports | None = None
+    ):
+        self._found: dict[tuple[str, str], dict[str, Variable]] = {}
+        for component, port in ports:
+            for variable in fmus[component].elements(port):
+                if besides is None or variable.name not in besides._found.get((component, variable.kind), {}):
+                    self._found.setdefault((component, variable.kind), {})[variable.name] = variable
+
+    def of(self, component: str, kind: str) -> list[Variable]:
+        return sorted(self._found.get((component, kind), {}).values(), key=lambda v: (v.reference, v.element))
+
+
+def _clash(fmu: Fmu) -> bool:
+    """Whether a Python FMU brings a module that this process already knows as something else: it would compute with
+    that."""
+    for module, digest in fmu.python_modules.items():
+        if module.startswith(f"{fmu.model_identifier}_{fmu.guid[:12]}"):
+            continue  # packaged by us: the name holds the digest of the content
+        if _loaded_modules.get(module, digest) != digest or (module not in _loaded_modules and module in sys.modules):
+            return True
+    return False

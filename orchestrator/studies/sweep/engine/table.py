@@ -1,0 +1,111 @@
+"""The table of a sweep: one line a run, in the order of the design, whatever the order in which they ended."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ....errors import StoreError, did_you_mean
+from ....records.compare.side_by_side import Column
+from ..design.matrix import Run
+from ..design.study import FORMAT
+from .storage import Storage
+from .worker import COMPLETED, Line
+
+DESCRIPTION, TABLE = "sweep.json", "table.csv"
+FIXED = ("run", "draw", "run_id", "status", "error")  # columns beside factors and metrics
+
+
+def text(runs: Sequence[Run], lines: Mapping[int, Line], metrics: Sequence[str]) -> str:
+    """CSV.  A number is written so that it reads back to the same bits; no number is an empty cell."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    keys = list(runs[0].cells)
+    writer.writerow(["run", "draw", *keys, "run_id", "status", *metrics, "error"])
+    for run in runs:
+        line = lines.get(run.index, Line(run.index))
+        cells = [_cell(run.cells[key]) for key in keys]
+        numbers = [_cell(line.metrics.get(name)) for name in metrics]
+        writer.writerow([run.index, run.draw, *cells, line.run_id, line.status, *numbers, line.error])
+    return stream.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A sweep's table, read.  keys: what varied; labels: {key: short name}; lists: the keys that were listed, in groups
+    of those that change together; rows: one a run: its cells as text, numbers of metrics under their names."""
+
+    sweep_id: str
+    title: str
+    storage: Storage
+    description: Mapping[str, Any]
+    columns: list[Column]
+    rows: list[dict[str, Any]]
+
+    @property
+    def keys(self) -> list[str]:
+        return list(self.description["keys"])
+
+    @property
+    def labels(self) -> dict[str, str]:
+        return dict(self.description["labels"])
+
+    @property
+    def groups(self) -> list[list[str]]:
+        return [keys for keys, _ in self.description["lists"]]
+
+    @property
+    def completed(self) -> list[dict[str, Any]]:
+        return [row for row in self.rows if row["status"] == COMPLETED]
+
+
+def find(results: str, sweep: str) -> Table:
+    """The sweep that is meant: an id, a unique prefix of one, an experiment of which there is one sweep, or "last".
+
+    Raises StoreError where that is none, or several.
+    """
+    storage = Storage(results)
+    known = [name.rpartition("/")[0] for name in storage.names(f"*/{DESCRIPTION}") if not name.startswith("_")]
+    if sweep == "last":
+        local = storage.local
+        if not known or local is None:
+            raise StoreError(f"{results} holds no sweep that is the last; run one first, or give its id")
+        return read(results, max(known, key=lambda name: (local / name / DESCRIPTION).stat().st_mtime_ns))
+    ids = {name: name.rpartition("-")[2] for name in known}
+    found = [name for name in known if sweep in (name, ids[name])]
+    found = found or [name for name in known if ids[name].startswith(sweep) or name.rpartition("-")[0] == sweep]
+    if len(found) == 1:
+        return read(results, found[0])
+    if found:
+        raise StoreError(f"{sweep!r} means several sweeps: {', '.join(found[:6])}; give more of the id")
+    raise StoreError(f"no sweep {sweep!r} in {results}{did_you_mean(sweep, [*ids.values()], 'there are')}")
+
+
+def read(results: str, folder: str) -> Table:
+    """Raises StoreError where the sweep cannot be read."""
+    storage = Storage(f"{results.rstrip('/')}/{folder}")
+    try:
+        description = json.loads(storage.read(DESCRIPTION))
+        if description["format"] != FORMAT:
+            raise ValueError(f"it is no {FORMAT}")
+        columns = [Column(**metric) for metric in description["metrics"]]
+        rows: list[dict[str, Any]] = list(csv.DictReader(io.StringIO(storage.read(TABLE).decode())))
+        for row in rows:
+            row["draw"] = int(row["draw"])
+            row |= {column.name: float(row[column.name] or math.nan) for column in columns}
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{storage.address} holds no sweep that can be read: {error}") from None
+    return Table(description["sweep_id"], description["title"], storage, description, columns, rows)

@@ -1,0 +1,145 @@
+"""What a worker does: a batch of runs, one after the other, each into a record of its own."""
+
+from __future__ import annotations
+
+import functools
+import json
+import platform
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from ....errors import OrchError
+from ....metrics import finite
+from ....plan.plan import Plan
+from ....plan.resolve import resolve
+from ....records.file.access import UNREADABLE
+from ....records.file.provenance import versions
+from ....records.store.folder import Run as Record
+from ....simulation.loop import Interrupt
+from ..design.matrix import Run
+from ..design.study import ID_LENGTH, Job
+from . import fmu_cache
+from .one_run import perform, rows_of
+from .storage import Storage
+
+COMPLETED, FAILED, MISSING = "completed", "failed", "missing"
+
+
+@dataclass(frozen=True)
+class Line:
+    """How one run of a sweep ended.  seconds: of wall time; fresh: False where the record was there."""
+
+    index: int
+    run_id: str = ""
+    status: str = MISSING
+    error: str = ""
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    seconds: float = 0.0
+    fresh: bool = True
+
+
+_interrupts: dict[str, Interrupt] = {}
+_one_at_a_time = threading.Lock()  # a Dask worker may have several threads; FMUs of a process want one
+
+
+def batch(token: str, job: Job, runs: Sequence[Run], stop_at_failure: bool) -> list[Line]:
+    """Run each, unless its record is there, verified and complete; those after an interruption are left out.
+
+    token: of the process that asks, by which `interrupt` ends its runs.
+    """
+    interrupt = _interrupts.setdefault(token, Interrupt())
+    shelf, storage = fmu_cache.shelf(), Storage(job.folder)
+    lines: list[Line] = []
+    for run in runs:
+        if interrupt.is_set():
+            break
+        began = time.perf_counter()
+        try:
+            with _one_at_a_time:
+                line = _one(job, run, shelf, storage, interrupt)
+        except KeyboardInterrupt:
+            break
+        except OrchError as error:  # this draw cannot run, or its record cannot be written
+            line = Line(run.index, status=FAILED, error=" ".join(str(error).split()))
+        if line.status == "interrupted":
+            break
+        lines.append(replace(line, seconds=time.perf_counter() - began))
+        if stop_at_failure and line.status == FAILED:
+            break
+    return lines
+
+
+def interrupt(token: str) -> None:
+    """End the runs that a process has asked for, now and in future."""
+    _interrupts.setdefault(token, Interrupt()).set()
+
+
+def _one(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage, interrupt: Interrupt) -> Line:
+    plan = plan_of(job, run, shelf, storage)
+    run_id = plan.digest[:ID_LENGTH]
+    name = f"{run_id}.h5"
+    if storage.exists(name):
+        found = there(storage, name, plan, job.keep)
+        if found is not None:
+            return Line(run.index, run_id, COMPLETED, metrics=found, fresh=False)
+    known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
+    with storage.scratch(name) as path:
+        done = perform(plan, path, job.keep, known, interrupt, shelf)
+        if done.status != "interrupted":
+            storage.put(path, name)
+    return Line(run.index, run_id, done.status, done.error, finite(done.metrics))
+
+
+def plan_of(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage) -> Plan:
+    """The plan of a run, made of the sweep's own FMUs under the names that the experiment gives them."""
+    experiment = job.experiment(run)
+    places = {c.name: str(shelf.fmu(storage, job.fmus[c.fmu])) for c in experiment.components if c.fmu}
+    fetched = tuple(replace(c, fmu=places.get(c.name, c.fmu)) for c in experiment.components)
+    plan = resolve(replace(experiment, components=fetched), {}, {}, shelf.read)
+    names = {c.name: c.fmu for c in experiment.components}
+    parts = tuple(replace(part, fmu_name=names[part.name]) for part in plan.parts)
+    return replace(plan, experiment=experiment, parts=parts)
+
+
+def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
+    """The metrics of a record that is complete and of this very run, with these metrics and rows; else None.
+
+    All rows are read, and so checked by HDF5's checksums.
+    """
+    try:
+        with storage.opened(name) as opened, h5py.File(opened, "r", **_lockless(opened)) as file:
+            facts = file.attrs
+            if facts["status"] != COMPLETED or facts["digest"] != plan.digest or facts.get("kept", "full") != keep:
+                return None
+            if json.loads(facts["experiment_resolved"])["metrics"] != _as_json(plan.resolved["metrics"]):
+                return None
+            rows = len(file["time"])
+            if rows != rows_of(plan, keep, facts.get("stopped_at")):
+                return None
+            ends = [name.partition(".")[::2] for name in Record(Path(name), file).signals]
+            if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
+                return None
+            found: dict[str, float | None] = json.loads(facts["metrics"])
+            return found if set(found) == set(plan.experiment.metrics) else None
+    except UNREADABLE:
+        return None
+
+
+def _lockless(opened: Any) -> dict[str, bool]:
+    return {"locking": False} if isinstance(opened, str) else {}
+
+
+def _as_json(value: Any) -> Any:
+    return json.loads(json.dumps(value))
+
+
+@functools.cache
+def _here() -> dict[str, str]:
+    """What the records of this process have in common."""
+    return {"versions": json.dumps(versions()), "platform": platform.platform()}

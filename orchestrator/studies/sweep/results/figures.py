@@ -1,0 +1,208 @@
+"""A sweep as a figure: box, violin, empirical distribution, heat map over two factors, parallel coordinates."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....errors import StoreError, did_you_mean
+from ....records.compare.side_by_side import Column
+from ..engine.table import Table
+from .analysis import Analysis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PANEL = 3.6, 2.8  # inches
+ACROSS = 3  # panels beside each other
+BINS = 6  # of a factor of a heat map that has more values
+
+
+def draw(analysis: Analysis, target: Path, kind: str = "box", over: Sequence[str] = ()) -> None:
+    """Write a figure: PNG, PDF or SVG.  over: the two factors of a heat map, by default the first two that were drawn.
+
+    Raises StoreError where the file cannot be written, or a factor is none.
+    """
+    found = figure(analysis, kind, over)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        found.savefig(target, dpi=150)
+    except (OSError, ValueError) as error:  # ValueError: an ending that matplotlib does not know
+        raise StoreError(f"{target} cannot be written: {error}") from None
+
+
+def figure(analysis: Analysis, kind: str = "box", over: Sequence[str] = ()) -> Figure:
+    """The figure of `draw`."""
+    from matplotlib.figure import Figure
+
+    if kind == "heatmap":
+        return _heatmaps(analysis, *_factors(analysis.table, over))
+    if kind == "parallel":
+        return _parallel(analysis)
+    panel: Callable[[Axes, Analysis, Column], None] = {"box": _box, "violin": _violin, "ecdf": _ecdf}[kind]
+    n = len(analysis.columns)
+    across = min(ACROSS, n)
+    down = -(-n // across)
+    found = Figure(figsize=(PANEL[0] * across, PANEL[1] * down), layout="constrained")
+    axes = found.subplots(down, across, squeeze=False).flat
+    for axis, column in zip(axes, analysis.columns, strict=False):
+        panel(axis, analysis, column)
+    for axis in list(axes)[n:]:
+        axis.set_visible(False)
+    return found
+
+
+def values(analysis: Analysis, contender: str, column: Column) -> Any:
+    """The metric of a contender's completed runs, (N,), without those that have no number."""
+    found = np.array([row[column.name] for row in rows_of(analysis, contender)])
+    return found[np.isfinite(found)]
+
+
+def rows_of(analysis: Analysis, contender: str) -> list[dict[str, Any]]:
+    """The completed runs of a contender."""
+    return [row for row in analysis.table.completed if analysis.contender_of(row) == contender]
+
+
+def _box(axis: Axes, analysis: Analysis, column: Column) -> None:
+    data = [values(analysis, name, column) for name in analysis.contenders]
+    axis.boxplot(data, showmeans=True, flierprops={"markersize": 3}, medianprops={"color": "C1"})
+    _contenders(axis, analysis, column)
+
+
+def _violin(axis: Axes, analysis: Analysis, column: Column) -> None:
+    for i, name in enumerate(analysis.contenders, 1):
+        data = values(analysis, name, column)
+        if len(data) > 1 and np.ptp(data) > 0:  # a density needs a width
+            axis.violinplot([data], positions=[i], showmedians=True, widths=0.8)
+        else:
+            axis.plot([i] * len(data), data, "_", color="C0")
+    _contenders(axis, analysis, column)
+
+
+def _contenders(axis: Axes, analysis: Analysis, column: Column) -> None:
+    places = range(1, len(analysis.contenders) + 1)
+    axis.set_xticks(list(places), analysis.contenders, rotation=30, ha="right", fontsize=8)
+    axis.set_ylabel(column.head)
+    axis.grid(axis="y", alpha=0.3)
+
+
+def _ecdf(axis: Axes, analysis: Analysis, column: Column) -> None:
+    for i, name in enumerate(analysis.contenders):
+        data = values(analysis, name, column)
+        if len(data):
+            axis.ecdf(data, label=name, color=f"C{i}")
+    axis.set_xlabel(column.head)
+    axis.set_ylabel("share of the draws")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=7)
+
+
+def _factors(table: Table, over: Sequence[str]) -> tuple[str, str]:
+    """The keys of the two factors of a heat map."""
+    known = {name: key for key in table.keys for name in (key, table.labels[key])}
+    listed = [key for group in table.groups for key in group]
+    for name in over:
+        if name not in known:
+            raise StoreError(f"--over {name}: nothing of that name varies{did_you_mean(name, known, 'there are')}")
+    chosen = [known[name] for name in over]
+    chosen += [key for key in table.keys if key not in chosen and key not in listed]
+    chosen += [key for key in table.keys if key not in chosen]
+    if len(over) > 2 or len(chosen) < 2:
+        raise StoreError("a heat map is over two factors: give --over twice, for two keys that vary")
+    return chosen[0], chosen[1]
+
+
+def _heatmaps(analysis: Analysis, one: str, other: str) -> Figure:
+    """Medians in cells: a line of panels a metric, a panel a contender."""
+    from matplotlib.figure import Figure
+
+    down, across = len(analysis.columns), len(analysis.contenders)
+    found = Figure(figsize=(1 + 2.4 * across, 0.6 + 2.3 * down), layout="constrained")
+    axes = found.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    labels, rows = analysis.table.labels, analysis.table.completed
+    sorts = [_bins([row[key] for row in rows]) for key in (one, other)]
+    for i, column in enumerate(analysis.columns):
+        cells = [_cells(rows_of(analysis, name), column, (one, other), sorts) for name in analysis.contenders]
+        low, high = _range(np.concatenate([cell.ravel() for cell in cells]))
+        for axis, name, cell in zip(axes[i], analysis.contenders, cells, strict=True):
+            image = axis.imshow(cell, origin="lower", aspect="auto", vmin=low, vmax=high, cmap="viridis")
+            axis.set_title(name if i == 0 else "", fontsize=9)
+            axis.set_xticks(range(len(sorts[0][1])), sorts[0][1], rotation=60, fontsize=6)
+            axis.set_yticks(range(len(sorts[1][1])), sorts[1][1], fontsize=6)
+            if i == down - 1:
+                axis.set_xlabel(labels[one], fontsize=8)
+        axes[i][0].set_ylabel(labels[other], fontsize=8)
+        found.colorbar(image, ax=list(axes[i]), label=f"median {column.head}")
+    return found
+
+
+def _bins(texts: Sequence[str]) -> tuple[Callable[[str], int], list[str]]:
+    """Which bin a cell of the table falls into, and the names of the bins: equal widths where numbers are many."""
+    different = sorted(set(texts), key=_number)
+    if len(different) <= BINS or any(math.isnan(_number(text)) for text in different):
+        return different.index, different
+    edges = np.linspace(_number(different[0]), _number(different[-1]), BINS + 1)
+    names = [f"{(a + b) / 2:.3g}" for a, b in itertools.pairwise(edges)]
+    return lambda text: int(np.clip(np.searchsorted(edges, _number(text), "right") - 1, 0, BINS - 1)), names
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _cells(rows: Sequence[dict[str, Any]], column: Column, keys: tuple[str, str], sorts: Sequence[Any]) -> Any:
+    """Medians, (bins of the second factor, bins of the first); nan where there is no run."""
+    found: dict[tuple[int, int], list[float]] = {}
+    for row in rows:
+        if math.isfinite(row[column.name]):
+            place = sorts[1][0](row[keys[1]]), sorts[0][0](row[keys[0]])
+            found.setdefault(place, []).append(row[column.name])
+    cells = np.full((len(sorts[1][1]), len(sorts[0][1])), np.nan)
+    for place, numbers in found.items():
+        cells[place] = np.median(numbers)
+    return cells
+
+
+def _range(numbers: Any) -> tuple[float, float]:
+    finite = numbers[np.isfinite(numbers)]
+    return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+
+
+def _parallel(analysis: Analysis) -> Figure:
+    """A line a run through its factors and metrics, each axis scaled to what it holds."""
+    from matplotlib.figure import Figure
+
+    table = analysis.table
+    listed = {key for group in table.groups for key in group}
+    factors = [key for key in table.keys if key not in listed and not math.isnan(_number(table.rows[0][key]))]
+    names = [*(table.labels[key] for key in factors), *(column.head for column in analysis.columns)]
+    data = {
+        contender: np.array([
+            [*(_number(row[key]) for key in factors), *(row[column.name] for column in analysis.columns)]
+            for row in rows_of(analysis, contender)
+        ]).reshape(-1, len(names))
+        for contender in analysis.contenders
+    }  # fmt: skip
+    everything = np.concatenate(list(data.values()))
+    ranges = [_range(everything[:, i]) for i in range(len(names))]
+    found = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
+    axis = found.subplots()
+    for i, (contender, lines) in enumerate(data.items()):
+        for k, line in enumerate(lines):
+            scaled = [(v - low) / (high - low or 1.0) for v, (low, high) in zip(line, ranges, strict=True)]
+            axis.plot(scaled, color=f"C{i}", alpha=0.25, linewidth=0.7, label=contender if k == 0 else None)
+    shown = [f"{name}\n{low:.3g} .. {high:.3g}" for name, (low, high) in zip(names, ranges, strict=True)]
+    axis.set_xticks(range(len(names)), shown, rotation=40, ha="right", fontsize=7)
+    axis.set_yticks([])
+    for handle in axis.legend(fontsize=8).get_lines():
+        handle.set_alpha(1.0)
+    return found

@@ -1,0 +1,166 @@
+"""An analysis as text: for the terminal, and as Markdown, CSV, LaTeX and HTML."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from ....records.compare.side_by_side import digits
+from ....views.tables import latex
+from ....views.tables.terminal import columns_of
+from .analysis import LEVEL, Analysis, Pair, Summary
+
+NO_NUMBER = "-"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table of text.  left: how many columns are words; bold: rows whose first number is the best."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+    left: int
+    bold: list[bool]
+
+
+def grids(analysis: Analysis, pairs: bool = True) -> list[Grid]:
+    """The contenders by themselves, and two by two."""
+    found = [
+        Grid(
+            "", ["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
+            [_summary(s) for s in analysis.summaries], 2,
+            [analysis.best(s.metric) == s.contender for s in analysis.summaries],
+        )
+    ]  # fmt: skip
+    if pairs and analysis.pairs:
+        head = ["metric", "first", "second", "n", "first - second", "95 % interval", "p (Holm)", "effect", "smaller"]
+        found.append(Grid("Draw by draw", head, [_pair(p) for p in analysis.pairs], 3, [False] * len(analysis.pairs)))
+    return found
+
+
+def _summary(s: Summary) -> list[str]:
+    return [s.metric.head, s.contender, str(s.n), _shown(s.mean), _interval(s.low, s.high), _shown(s.std),
+            _shown(s.median)]  # fmt: skip
+
+
+def _pair(p: Pair) -> list[str]:
+    return [p.metric.head, p.first, p.second, str(p.n), _shown(p.difference), _interval(p.low, p.high),
+            _probability(p.p_holm), f"{p.effect:+.2f}" if math.isfinite(p.effect) else NO_NUMBER,
+            p.smaller or NO_NUMBER]  # fmt: skip
+
+
+def _shown(value: float) -> str:
+    return digits(value) if math.isfinite(value) else NO_NUMBER
+
+
+def _interval(low: float, high: float) -> str:
+    return f"{_shown(low)} .. {_shown(high)}" if math.isfinite(low) else NO_NUMBER
+
+
+def _probability(p: float) -> str:
+    if not math.isfinite(p):
+        return NO_NUMBER
+    return "< 1e-4" if p < 1e-4 else f"{p:.4f}" if p < 0.0995 else f"{p:.2f}"
+
+
+def legend(analysis: Analysis, pairs: bool = True) -> list[str]:
+    """What the columns are, and what weakens them."""
+    table = analysis.table
+    lines = [f"sweep {table.sweep_id}: {table.description['draws']} draws ({table.description['design']}, seed "
+             f"{table.description['seed']}), the same for every value of {analysis.by}"]  # fmt: skip
+    lines.append("mean with its 95 % bootstrap interval (BCa)")
+    if pairs and analysis.pairs:
+        lines[-1] += f"; Wilcoxon's signed-rank test on paired draws, Holm-corrected over {len(analysis.pairs)} "
+        lines[-1] += f"comparisons, at {LEVEL:g}; effect: rank-biserial, -1 where first is smaller in every draw"
+    return lines + [f"note: {note}" for note in analysis.notes]
+
+
+def table(analysis: Analysis, pairs: bool = True) -> str:
+    """For the terminal; * marks the mean nearest to zero."""
+    blocks = []
+    for grid in grids(analysis, pairs):
+        rows = [
+            tuple(f"{cell}*" if bold and i == 3 else cell for i, cell in enumerate(row))
+            for row, bold in zip(grid.rows, grid.bold, strict=True)
+        ]
+        blocks.append("\n".join([*([grid.title] if grid.title else []), *columns_of([tuple(grid.head), *rows])]))
+    return "\n\n".join([*blocks, "\n".join(legend(analysis, pairs))])
+
+
+def markdown(analysis: Analysis, pairs: bool = True) -> str:
+    blocks = []
+    for grid in grids(analysis, pairs):
+        rows = [
+            [f"**{cell}**" if bold and i == 3 else cell.replace("|", "\\|") for i, cell in enumerate(row)]
+            for row, bold in zip(grid.rows, grid.bold, strict=True)
+        ]
+        rule = ["---"] * grid.left + ["---:"] * (len(grid.head) - grid.left)
+        blocks.append("\n".join("| " + " | ".join(line) + " |" for line in [grid.head, rule, *rows]))
+    return "\n\n".join([*blocks, *legend(analysis, pairs)])
+
+
+def latex_text(analysis: Analysis, pairs: bool = True) -> str:
+    """Two tables for booktabs."""
+    caption = latex.escape(analysis.table.title)
+    blocks = []
+    for grid in grids(analysis, pairs):
+        lines = [r"% \usepackage{booktabs}", r"\begin{table}", r"  \centering",
+                 rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis, pairs)))}.}}",
+                 rf"  \begin{{tabular}}{{{'l' * grid.left}{'r' * (len(grid.head) - grid.left)}}}",
+                 r"    \toprule", _row(grid.head, False), r"    \midrule"]  # fmt: skip
+        last = ""
+        for row, bold in zip(grid.rows, grid.bold, strict=True):
+            if last and row[0] != last:
+                lines.append(r"    \addlinespace")
+            lines.append(_row(["" if row[0] == last else row[0], *row[1:]], bold))
+            last = row[0]
+        lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]
+        blocks.append("\n".join(lines))
+    return "\n\n".join(blocks)
+
+
+def _row(cells: Sequence[str], bold: bool) -> str:
+    texts = [latex.escape(cell).replace(" .. ", " -- ").replace("< ", "$<$ ") for cell in cells]
+    texts = [rf"\textbf{{{text}}}" if bold and i == 3 else text for i, text in enumerate(texts)]
+    return "    " + " & ".join(texts) + r" \\"
+
+
+def csv_text(analysis: Analysis, pairs: bool = True) -> str:
+    """In full precision: one line a contender and metric, then one a pair and metric."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["metric", "unit", "contender", "n", "mean", "low", "high", "std", "median"])
+    for s in analysis.summaries:
+        numbers = (s.mean, s.low, s.high, s.std, s.median)
+        writer.writerow([s.metric.name, s.metric.unit, s.contender, s.n, *map(repr, numbers)])
+    if pairs and analysis.pairs:
+        writer.writerow([])
+        writer.writerow(["metric", "unit", "first", "second", "n", "difference", "low", "high", "p", "p_holm",
+                         "effect"])  # fmt: skip
+        for p in analysis.pairs:
+            last = map(repr, (p.difference, p.low, p.high, p.p, p.p_holm, p.effect))
+            writer.writerow([p.metric.name, p.metric.unit, p.first, p.second, p.n, *last])
+    return stream.getvalue().rstrip("\n")
+
+
+def html(analysis: Analysis) -> str:
+    blocks = []
+    for grid in grids(analysis):
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in grid.head)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{f'<b>{escape(c)}</b>' if bold and i == 3 else escape(c)}</td>"
+                             for i, c in enumerate(row)) + "</tr>"
+            for row, bold in zip(grid.rows, grid.bold, strict=True)
+        )  # fmt: skip
+        title = f"<h3>{escape(grid.title)}</h3>" if grid.title else ""
+        blocks.append(f'{title}<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+                      f"<tbody>{body}</tbody></table></div>")  # fmt: skip
+    return "".join(blocks) + "".join(f'<p class="soft">{escape(line)}</p>' for line in legend(analysis))
+
+
+FORMATS = {"table": table, "markdown": markdown, "csv": csv_text, "latex": latex_text}

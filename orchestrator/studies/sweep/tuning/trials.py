@@ -1,0 +1,141 @@
+"""The trials of one controller: which runs the next one asks for, and what becomes of it.
+
+The first trial is the controller's defaults.  A trial runs its draws in quarters, and is pruned where the mean so far
+is worse than the median of the earlier trials at that point, or where a run fails.  The sampler of trial n is seeded by
+the sweep's seed and n alone, so a study that was interrupted goes on as if it had not been.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import warnings
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ....fmu.fmu import read
+from ..design.matrix import Run
+from ..design.study import Study
+from ..engine.worker import COMPLETED, Line
+from .search import Search
+
+RUNGS = 4  # looks at a trial, at most, before it is complete
+STARTUP = 5  # trials at random before the sampler learns from them
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What came of one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
+
+    fmu: str
+    parameters: Mapping[str, Any]
+    default: float
+    best: float
+    trials: int
+    pruned: int
+
+
+class Trials:
+    """The study of one controller."""
+
+    def __init__(
+        self, optuna: Any, storage: Any, fmu: str, space: Mapping[str, Mapping[str, Any]], made: Study, spec: Search,
+        note: Callable[[str], None],
+    ):  # fmt: skip
+        self._optuna, self._space, self._spec, self._fmu = optuna, space, spec, fmu
+        self._key = f"components.{spec.component}"
+        self._draws = [run.values for run in made.design.runs() if run.values[f"{self._key}.fmu"] == fmu]
+        self._seed = made.design.seed
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # experimental parts of optuna say that they are
+            self._study = optuna.create_study(
+                storage=storage, study_name=fmu, direction=spec.goal, load_if_exists=True,
+                pruner=optuna.pruners.MedianPruner(n_startup_trials=4),
+            )  # fmt: skip
+        states = optuna.trial.TrialState
+        self._ended = states.COMPLETE, states.PRUNED
+        for trial in self._study.get_trials(deepcopy=False, states=(states.RUNNING, states.WAITING)):
+            if trial.state == states.WAITING:
+                trial = self._study.ask()
+            self._study.tell(trial.number, state=states.FAIL)  # it was interrupted
+        self._defaults = _defaults(made, spec, fmu)
+        outside = [name for name, value in self._defaults.items() if not _lies_in(self._space[name], value)]
+        if outside:
+            note(f"{fmu}: the defaults of {', '.join(outside)} lie outside of what is searched, which begins elsewhere")
+            self._defaults = {}
+
+    @property
+    def ended(self) -> int:
+        return len(self._study.get_trials(deepcopy=False, states=self._ended))
+
+    @property
+    def best(self) -> float:
+        completed = self._study.get_trials(deepcopy=False, states=self._ended[:1])
+        return float(self._study.best_value) if completed else math.nan
+
+    def run(self) -> Generator[list[Run], dict[int, Line], None]:
+        """Asks for runs, is sent how they ended; returns when all trials have ended."""
+        while (number := self.ended) < self._spec.trials:
+            # One start for all controllers, and the same one when the study is resumed.
+            digest = hashlib.sha256(f"{self._seed}/trial/{number}".encode()).digest()
+            self._study.sampler = self._optuna.samplers.TPESampler(
+                seed=int.from_bytes(digest[:4], "big"), n_startup_trials=STARTUP
+            )
+            if number == 0 and self._defaults:
+                self._study.enqueue_trial(self._defaults)
+            trial = self._study.ask()
+            parameters = {name: _suggest(trial, name, entry) for name, entry in self._space.items()}
+            yield from self._judge(trial, parameters)
+
+    def _judge(self, trial: Any, parameters: dict[str, Any]) -> Generator[list[Run], dict[int, Line], None]:
+        """Run a trial's draws, rung by rung."""
+        values: list[float] = []
+        rung = -(-len(self._draws) // RUNGS)
+        state = self._optuna.trial.TrialState
+        while len(values) < len(self._draws):
+            chosen = range(len(values), min(len(values) + rung, len(self._draws)))
+            lines = yield [Run(i, i, {**self._draws[i], f"{self._key}.parameters": parameters}) for i in chosen]
+            values += [self._spec.value(lines[i].metrics) if lines[i].status == COMPLETED else math.nan for i in chosen]
+            if not all(map(math.isfinite, values)):
+                self._study.tell(trial, state=state.PRUNED)
+                return
+            trial.report(math.fsum(values) / len(values), len(values))
+            if len(values) < len(self._draws) and trial.should_prune():
+                self._study.tell(trial, state=state.PRUNED)
+                return
+        self._study.tell(trial, math.fsum(values) / len(values))
+
+    def tuned(self) -> Tuned:
+        complete = self._study.get_trials(deepcopy=False, states=self._ended[:1])
+        best = self._study.best_trial if complete else None
+        first = next((t for t in complete if self._defaults and t.params == self._defaults), None)
+        return Tuned(self._fmu, dict(best.params) if best else {}, float(first.value) if first else math.nan, self.best,
+                     self.ended, self.ended - len(complete))  # fmt: skip
+
+
+def _suggest(trial: Any, name: str, entry: Mapping[str, Any]) -> Any:
+    match entry["distribution"]:
+        case "choice":
+            return trial.suggest_categorical(name, entry["values"])
+        case "integer":
+            return trial.suggest_int(name, entry["low"], entry["high"])
+    return trial.suggest_float(name, entry["low"], entry["high"], log=entry["distribution"] == "loguniform")
+
+
+def _defaults(made: Study, spec: Search, fmu: str) -> dict[str, Any]:
+    """What the FMU itself has for the parameters that are searched; {} where one of them is no single number."""
+    described = read(made.files[made.fmus[fmu]])
+    found = {}
+    for name, entry in spec.spaces[fmu].items():
+        if name not in described.variables:
+            return {}
+        start = described.variables[name].initial
+        found[name] = int(start) if entry["distribution"] == "integer" else start
+    return found
+
+
+def _lies_in(entry: Mapping[str, Any], value: Any) -> bool:
+    if entry["distribution"] == "choice":
+        return value in entry["values"]
+    return bool(entry["low"] <= value <= entry["high"])

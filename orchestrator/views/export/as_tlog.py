@@ -1,0 +1,98 @@
+"""tlog: the vehicles of a run as ground stations would have seen them, ArduSub by ArduSub."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ...errors import OrchError, StoreError
+from ...experiment import experiment
+from ...mavlink.settings import AXES, BODY, Settings, settings_from
+from ...mavlink.tlog import Track
+from ...mavlink.tlog import write as write_log
+from ...mavlink.vehicle.autopilot import MODES, Autopilot
+from ...mavlink.vehicle.frame import Frame
+from ...mavlink.vehicle.parameters import Parameters
+from ...mavlink.vehicle.sample import Sample, gravity_alone
+from ...records.compare.vehicles import Vehicle, vehicles
+from ...records.store.folder import Run
+from .content import Content
+
+FORCE = ("x", "y", "z")
+
+
+def write(content: Content, target: Path) -> None:
+    """Raises StoreError where the record lacks what telemetry is made of."""
+    run = content.run
+    found = {vehicle.name: vehicle for vehicle in vehicles(run)}
+    if not found:
+        raise StoreError(f"{run.path} records no vehicle: no component with eta.x to eta.psi")
+    facts = run.attributes
+    table = experiment.parse(
+        Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
+    ).mavlink
+    settings = settings_from(table, [name for name in found if _has(run, name, "nu", BODY)])
+    missing = [name for name in settings.vehicles if name not in found or not _has(run, name, "nu", BODY)]
+    if missing or not settings.vehicles:
+        lacking = " and ".join(f"{name}.nu" for name in missing or found)
+        raise StoreError(f"{run.path} does not record {lacking}, which telemetry needs: record it and run again")
+    tracks = [_track(content, found[name], system, settings) for name, system in settings.vehicles.items()]
+    with target.open("wb") as file:
+        write_log(tracks, file)
+
+
+def _track(content: Content, vehicle: Vehicle, system: int, settings: Settings) -> Track:
+    run, name, n = content.run, vehicle.name, len(content.time)
+    eta = np.column_stack([vehicle.eta[axis] for axis in AXES])
+    nu = np.column_stack([run[f"{name}.nu.{axis}"] for axis in BODY])
+    u = np.column_stack(list(vehicle.u.values())) if vehicle.u else np.zeros((n, 0))
+    force = None
+    if _has(run, name, "specific_force", FORCE):
+        force = np.column_stack([run[f"{name}.specific_force.{axis}"] for axis in FORCE])
+    guided = all(axis in vehicle.eta_d for axis in AXES)
+    eta_d = np.column_stack([vehicle.eta_d[axis] for axis in AXES]) if guided else np.full((n, 6), np.nan)
+
+    def sample(row: int) -> Sample:
+        specific_force = gravity_alone(eta[row]) if force is None else force[row]
+        return Sample(float(content.time[row]), eta[row], nu[row], u[row], specific_force, eta_d[row], settings.origin)
+
+    frame, own = _frame(run, name, settings.pwm_map)
+    mode = MODES["GUIDED" if guided else "MANUAL"]
+    parameters = Parameters(system, settings.rates, own)
+    return Track(Autopilot(system, name, parameters, settings.origin, frame, mode=mode), content.time, sample)
+
+
+def _frame(run: Run, component: str, pwm_map: str) -> tuple[Frame | None, dict[str, float]]:
+    calculated: dict[str, Any] = json.loads(run.file[component].attrs.get("calculated", "{}"))
+    entries = {name: value for name, value in calculated.items() if name.startswith("T[") and "," in name}
+    if not entries:
+        return None, {}
+    places = {name: tuple(int(i) - 1 for i in name[2:-1].split(",")) for name in entries}
+    T = np.zeros(np.array(list(places.values())).max(axis=0) + 1)
+    for name, value in entries.items():
+        T[places[name]] = value
+    thrust = _parameter(run, component, "max_thrust", 40.0)
+    try:
+        return Frame(T, thrust, pwm_map), {"SIM_MAX_THRUST": thrust}
+    except OrchError as error:
+        raise StoreError(f"{run.path}: {component}: {error}") from None
+
+
+def _parameter(run: Run, component: str, name: str, default: float) -> float:
+    """As the experiment set it, else as the FMU says."""
+    given = json.loads(run.fact(component, "parameters"))
+    if name in given:
+        return float(given[name])
+    description = run.attributes["model_descriptions"].get(run.fact(component, "fmu_sha256"), "<empty/>")
+    for variable in ElementTree.fromstring(description).iter():
+        if variable.get("name") == name:  # FMI 3.0 has the value here, FMI 2.0 one below
+            return next((float(start) for element in variable.iter() if (start := element.get("start"))), default)
+    return default
+
+
+def _has(run: Run, component: str, vector: str, axes: tuple[str, ...]) -> bool:
+    return {f"{component}.{vector}.{axis}" for axis in axes} <= set(run.signals)

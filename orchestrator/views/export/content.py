@@ -1,0 +1,123 @@
+"""What is exported of a record: its signals, and the facts of the run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from ...fmu.variables import split_axis
+from ...records.store.folder import Run
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Attributes that go with the signals: those that are the same whenever, and wherever, the run is repeated.
+FACTS = (
+    "run_id", "digest", "title", "experiment", "status", "error", "failed_at", "stopped_at", "algorithm", "step",
+    "seed", "experiment_toml", "experiment_resolved", "metrics", "warnings",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A recorded variable.  kind: real, integer, boolean or string; unit: "1" where it has none."""
+
+    run: Run
+    component: str
+    variable: str
+    kind: str
+    unit: str
+    long_name: str
+    causality: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.component}.{self.variable}"
+
+    @property
+    def head(self) -> str:
+        """vehicle1.eta.x [m]; the name alone where there is no unit."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """(N,), or (N, *shape) of an array: numbers as recorded, bool, or object for texts."""
+        values: NDArray[Any] = self.run[self.name]
+        return values.astype({"boolean": bool, "string": object}.get(self.kind, values.dtype))
+
+    @property
+    def about(self) -> dict[str, str]:
+        """Its attributes, named as in the record."""
+        return {"units": self.unit, "long_name": self.long_name, "causality": self.causality}
+
+    def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Its (N,) columns with what stands behind its name: nothing, or [1], [2], ... of an array's elements."""
+        values = self.values
+        for index in np.ndindex(values.shape[1:]):
+            place = ",".join(str(i + 1) for i in index)
+            yield (f"[{place}]" if place else ""), values[(slice(None), *index)]
+
+
+@dataclass(frozen=True)
+class Content:
+    """time: (N,) [s]."""
+
+    run: Run
+    time: NDArray[np.float64]
+    signals: list[Signal]
+
+    @cached_property
+    def facts(self) -> dict[str, str | float | int]:
+        """FACTS that the record has, JSON as text."""
+        found = self.run.attributes | {"status": self.run.status}
+        facts = {name: found[name] for name in FACTS if found.get(name) not in (None, "")}
+        return {k: json.dumps(v, ensure_ascii=False) if isinstance(v, dict | list) else v for k, v in facts.items()}
+
+    def of(self, component: str) -> list[Signal]:
+        return [signal for signal in self.signals if signal.component == component]
+
+    @property
+    def components(self) -> list[str]:
+        return list(dict.fromkeys(signal.component for signal in self.signals))
+
+
+def read(run: Run) -> Content:
+    return Content(run, run.time, [_signal(run, name) for name in run.signals])
+
+
+def _signal(run: Run, name: str) -> Signal:
+    component, _, variable = name.partition(".")
+    dataset = run.file[component][variable]
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        kind = "string"
+    else:
+        kind = "boolean" if dataset.dtype == np.int8 else "real" if dataset.dtype.kind == "f" else "integer"
+    about = {key: str(dataset.attrs.get(key, default)) for key, default in
+             (("units", "1"), ("long_name", variable), ("causality", ""))}  # fmt: skip
+    return Signal(run, component, variable, kind, about["units"], about["long_name"], about["causality"])
+
+
+def vectors(signals: Sequence[Signal]) -> dict[str, list[Signal]]:
+    """{"eta": the signals of its axes} of scalar signals of one component that are numbers and share a vector."""
+    found: dict[str, list[Signal]] = {}
+    for signal in signals:
+        head, axis = split_axis(signal.variable)
+        if axis and signal.kind == "real":
+            found.setdefault(head, []).append(signal)
+    return {head: axes for head, axes in found.items() if len(axes) > 1}
+
+
+def unique(name: str, taken: set[str], longest: int = 1 << 16) -> str:
+    """The name, cut and numbered so that it differs from those taken; it is taken then."""
+    chosen, k = name[:longest], 1
+    while chosen in taken:
+        k += 1
+        chosen = f"{name[: longest - len(str(k)) - 1]}_{k}"
+    taken.add(chosen)
+    return chosen

@@ -1,0 +1,188 @@
+"""The panels over time: which curves the page draws, grouped as a reader looks for them.
+
+A curve has keys; the buttons of the legend hide all the curves that have one.  A run has a colour and its vehicles
+shades of it; where there is one run, each vehicle has a colour: as in the figures of `orch plot`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ... import metrics
+from ...fmu.variables import split_axis
+from ...records.compare.vehicles import AXES, Vehicle
+from .arrays import packed, thin
+from .colours import colours
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ...records.store.folder import Run
+
+    Array = NDArray[np.float64]
+
+DEG = 180.0 / np.pi
+ANGLES = ("rad", "rad/s", "rad/s2")  # drawn in degrees
+LETTERS = {"phi": "φ", "theta": "θ", "psi": "ψ"}
+LEAST = {"m": 0.1, "deg": 1.0}  # extent of a state's axis: rest is drawn as rest, not as micrometres of motion
+MAX_PANELS = 60  # of a run without vehicles
+Fleet = Sequence[tuple["Run", list[Vehicle]]]  # every run with its vehicles
+
+
+def groups(fleet: Fleet) -> list[dict[str, Any]]:
+    """The groups of panels of all runs, without those that nothing is recorded of."""
+    if not any(vehicles for _, vehicles in fleet):
+        return _signals([run for run, _ in fleet])
+    found = [
+        ("Position and attitude", "Dashed: the reference. Depth points down.", _states(fleet)),
+        ("Errors", "State minus reference.", _errors(fleet)),
+        ("Thruster commands", "Normalized, from -1 to 1.", _thrusters(fleet)),
+        ("Formation", "The second vehicle seen from the first.", _formation(fleet)),
+        ("Velocities", "In the body frame.", _velocities(fleet)),
+    ]
+    return [{"title": title, "note": note, "panels": panels} for title, note, panels in found if panels]
+
+
+def keys(fleet: Fleet, labels: Sequence[str]) -> list[dict[str, Any]]:
+    """The buttons of the legend.  labels: of the runs."""
+    several = len(fleet) > 1
+    found: list[dict[str, Any]] = []
+    if several:
+        found = [{"key": f"run{i}", "label": label, "colour": colours(i, 0)} for i, label in enumerate(labels)]
+    names = list(dict.fromkeys(vehicle.name for _, vehicles in fleet for vehicle in vehicles))
+    if not several or len(names) > 1:
+        found += [{"key": n, "label": n, "colour": None if several else colours(k, 0)} for k, n in enumerate(names)]
+    if any(vehicle.eta_d for _, vehicles in fleet for vehicle in vehicles):
+        found.append({"key": "desired", "label": "reference", "colour": None, "dashed": True})
+    return found
+
+
+def vehicle_colours(fleet: Fleet, run: int, name: str) -> list[str]:
+    """Colour of a vehicle on light and on dark ground."""
+    names = list(dict.fromkeys(vehicle.name for _, vehicles in fleet for vehicle in vehicles))
+    return colours(run, names.index(name)) if len(fleet) > 1 else colours(names.index(name), 0)
+
+
+def _states(fleet: Fleet) -> list[dict[str, Any]]:
+    panels = []
+    for axis in AXES:
+        unit, factor = ("deg", DEG) if axis in LETTERS else ("m", 1.0)
+        curves = []
+        for i, run, vehicle in _each(fleet):
+            curves.append(_curve(fleet, i, vehicle.name, run.time, vehicle.eta[axis] * factor))
+            if axis in vehicle.eta_d:
+                desired = vehicle.eta_d[axis] * factor
+                curves.append(_curve(fleet, i, vehicle.name, run.time, desired, desired=True))
+        panels.append(_panel(LETTERS.get(axis, axis), unit, curves, least=LEAST[unit], down=axis == "z"))
+    return panels
+
+
+def _errors(fleet: Fleet) -> list[dict[str, Any]]:
+    panels = []
+    for axis in AXES:
+        unit, factor = ("deg", DEG) if axis in LETTERS else ("m", 1.0)
+        letter = LETTERS.get(axis, axis)
+        curves = [
+            _curve(fleet, i, vehicle.name, run.time, (vehicle.eta[axis] - vehicle.eta_d[axis]) * factor)
+            for i, run, vehicle in _each(fleet) if axis in vehicle.eta_d
+        ]  # fmt: skip
+        panels.append(_panel(f"{letter} - {letter}_d", unit, curves, down=axis == "z"))
+    return [panel for panel in panels if panel["curves"]]
+
+
+def _thrusters(fleet: Fleet) -> list[dict[str, Any]]:
+    axes = dict.fromkeys(axis for _, _, vehicle in _each(fleet) for axis in vehicle.u)
+    return [
+        _panel(axis, "1", [_curve(fleet, i, vehicle.name, run.time, vehicle.u[axis])
+                           for i, run, vehicle in _each(fleet) if axis in vehicle.u])
+        for axis in axes
+    ]  # fmt: skip
+
+
+def _formation(fleet: Fleet) -> list[dict[str, Any]]:
+    """Distance, heading and depth of the second vehicle relative to the first, of every run that has two."""
+    rows: dict[str, list[dict[str, Any]]] = {"distance": [], "heading": [], "depth": []}
+    for i, (run, vehicles) in enumerate(fleet):
+        if len(vehicles) != 2:
+            continue
+        first, second = (vehicle.eta for vehicle in vehicles)
+        ends = [np.column_stack([eta[axis] for axis in "xyz"]) for eta in (first, second)]
+        turn = (second["psi"] - first["psi"]) * DEG
+        values = {"distance": metrics.distance(run.time, *ends), "heading": turn, "depth": second["z"] - first["z"]}
+        for name, array in values.items():
+            rows[name].append(_curve(fleet, i, vehicles[0].name, run.time, array, keys=[f"run{i}"]))
+    panels = [
+        _panel("distance", "m", rows["distance"], least=0.1),
+        _panel("ψ₂ - ψ₁", "deg", rows["heading"], least=1.0),
+        _panel("z₂ - z₁", "m", rows["depth"], least=0.1, down=True),
+    ]
+    return [panel for panel in panels if panel["curves"]]
+
+
+def _velocities(fleet: Fleet) -> list[dict[str, Any]]:
+    panels = []
+    for axis in "uvwpqr":
+        unit, factor = ("m/s", 1.0) if axis in "uvw" else ("deg/s", DEG)
+        curves = [
+            _curve(fleet, i, vehicle.name, run.time, run[f"{vehicle.name}.nu.{axis}"] * factor)
+            for i, run, vehicle in _each(fleet) if f"{vehicle.name}.nu.{axis}" in run.signals
+        ]  # fmt: skip
+        panels.append(_panel(axis, unit, curves))
+    return [panel for panel in panels if panel["curves"]]
+
+
+def _signals(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Runs without vehicles: a panel for each vector and unit or, of several runs, for each signal."""
+    panels: dict[tuple[str, str], dict[str, Any]] = {}
+    for i, run in enumerate(runs):
+        for name in run.signals:
+            values = run[name]
+            if not np.issubdtype(values.dtype, np.number) or values.ndim > 1 or not len(values):
+                continue
+            unit = run.units(name)
+            factor = DEG if unit in ANGLES else 1.0
+            component, _, variable = name.partition(".")
+            head, axis = split_axis(variable)
+            title = name if len(runs) > 1 or (axis == "z" and unit == "m") else f"{component}.{head}"
+            panel = panels.setdefault((title, unit), _panel(title, unit.replace("rad", "deg"), [], down=axis == "z"))
+            tone = colours(i if len(runs) > 1 else len(panel["curves"]), 0)
+            curve = _points(run.time, values * factor) | {"name": axis or head, "keys": [f"run{i}"], "colour": tone}
+            panel["curves"].append(curve)
+    for panel in panels.values():
+        panel["legend"] = len(runs) == 1 and len(panel["curves"]) > 1
+    note = f"The first {MAX_PANELS} of {len(panels)} panels." if len(panels) > MAX_PANELS else "As recorded."
+    return [{"title": "Signals", "note": note, "panels": list(panels.values())[:MAX_PANELS]}] if panels else []
+
+
+def _each(fleet: Fleet) -> list[tuple[int, Run, Vehicle]]:
+    return [(i, run, vehicle) for i, (run, vehicles) in enumerate(fleet) for vehicle in vehicles]
+
+
+def _panel(
+    name: str, unit: str, curves: list[dict[str, Any]], least: float = 0.0, down: bool = False
+) -> dict[str, Any]:
+    """least: the least extent of the vertical axis, in its unit.  down: it points down."""
+    shown = "" if unit in ("", "1") else unit
+    return {"name": name, "unit": shown, "curves": curves, "least": least, "down": down, "legend": False}
+
+
+def _curve(
+    fleet: Fleet, run: int, vehicle: str, time: Array, values: Array,
+    desired: bool = False, keys: Sequence[str] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    name = f"{vehicle} reference" if desired else vehicle
+    own: dict[str, Any] = {
+        "name": name if len(fleet) == 1 else f"{fleet[run][0].run_id} {name}",
+        "keys": [f"run{run}", vehicle, *(["desired"] if desired else [])] if keys is None else list(keys),
+        "colour": vehicle_colours(fleet, run, vehicle),
+        "desired": desired,
+    }
+    return _points(time, values) | own
+
+
+def _points(time: Array, values: Array) -> dict[str, Any]:
+    rows = thin(np.asarray(values, float))
+    return {"t": packed(time[rows]), "y": packed(values[rows])}
