@@ -1,6 +1,6 @@
 """What a process of its own costs: spiral_pid with 0 to all of its components isolated, in microseconds a step each.
 
-    python benchmarks/isolation.py [REPEATS]
+python benchmarks/isolation.py [REPEATS]
 """
 
 import statistics
@@ -30,8 +30,10 @@ def main(repeats):
                 apart, steps = stepping(names[:n], folder)
                 together, _ = stepping([], folder)
                 costs.append((apart - together) / steps / n * 1e6)
-            print(f"{n} isolated: {statistics.median(costs):6.2f} us a step and component "
-                  f"({min(costs):.2f} - {max(costs):.2f})")  # fmt: skip
+            print(
+                f"{n} isolated: {statistics.median(costs):6.2f} us a step and component "
+                f"({min(costs):.2f} - {max(costs):.2f})"
+            )
 
 
 if __name__ == "__main__":

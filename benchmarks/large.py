@@ -98,13 +98,15 @@ class Measured:
 def formation(vehicles: int, steps: int) -> str:
     """The experiment file."""
     numbers = range(1, vehicles + 1)
-    return "".join([
-        HEAD.format(vehicles=vehicles, stop_time=steps / round(1 / STEP), step=STEP),
-        *(VEHICLE.format(i=i, R=1 + i / 100) for i in numbers),
-        "\n[connections]\n",
-        *(CONNECTIONS.format(i=i) for i in numbers),
-        RECORD,
-    ])  # fmt: skip
+    return "".join(
+        [
+            HEAD.format(vehicles=vehicles, stop_time=steps / round(1 / STEP), step=STEP),
+            *(VEHICLE.format(i=i, R=1 + i / 100) for i in numbers),
+            "\n[connections]\n",
+            *(CONNECTIONS.format(i=i) for i in numbers),
+            RECORD,
+        ]
+    )
 
 
 def main() -> None:
@@ -207,15 +209,23 @@ def _table(rows: Sequence[Measured], packaging: str) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for row, above in zip(rows, [None, *rows], strict=False):
-        load, memory = ("", "") if above is None else (
-            f"{(row.load - above.load) / (row.components - above.components) * 1e3:.3g}",
-            f"{(row.memory - above.memory) / (row.components - above.components):.3g}",
-        )  # fmt: skip
-        lines.append(f"| {row.vehicles} | {row.components} | {row.component_step:.3g} | {row.calls:.3g} | "
-                     f"{row.load:.3g} | {load} | {row.memory * 1024 / 1e6:.4g} | {memory} |")  # fmt: skip
+        load, memory = (
+            ("", "")
+            if above is None
+            else (
+                f"{(row.load - above.load) / (row.components - above.components) * 1e3:.3g}",
+                f"{(row.memory - above.memory) / (row.components - above.components):.3g}",
+            )
+        )
+        lines.append(
+            f"| {row.vehicles} | {row.components} | {row.component_step:.3g} | {row.calls:.3g} | "
+            f"{row.load:.3g} | {load} | {row.memory * 1024 / 1e6:.4g} | {memory} |"
+        )
     growth = rows[-1].component_step / rows[0].component_step
-    lines.append(f"\nThe step of a component among {rows[-1].components} costs {growth:.2f} times that among "
-                 f"{rows[0].components}.")  # fmt: skip
+    lines.append(
+        f"\nThe step of a component among {rows[-1].components} costs {growth:.2f} times that among "
+        f"{rows[0].components}."
+    )
     return "\n".join(lines)
 
 

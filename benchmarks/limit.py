@@ -143,17 +143,32 @@ def _program(task: Task, models: dict[str, str], sizes: dict[str, int]) -> str:
     parts = task.components
     return PROGRAM.format(
         memories=lines(0, [f"static double {c.name}[{sizes[c.fmu]}];" for c in parts]),
-        begin=lines(1, [line for c in parts for line in (
-            f"{models[c.fmu]}_begin({c.name});", *(f"{_at(v)} = {float(value)!r};" for v, value in c.values))]),
-        initialize=lines(2, [line for c in parts for line in (
-            *inputs(c.name), f"{models[c.fmu]}_initialize({c.name});")]),
-        advance=lines(2, [line for c in parts for line in (
-            *inputs(c.name), f"{models[c.fmu]}_advance({c.name}, t, h);")]),
+        begin=lines(
+            1,
+            [
+                line
+                for c in parts
+                for line in (
+                    f"{models[c.fmu]}_begin({c.name});",
+                    *(f"{_at(v)} = {float(value)!r};" for v, value in c.values),
+                )
+            ],
+        ),
+        initialize=lines(
+            2, [line for c in parts for line in (*inputs(c.name), f"{models[c.fmu]}_initialize({c.name});")]
+        ),
+        advance=lines(
+            2, [line for c in parts for line in (*inputs(c.name), f"{models[c.fmu]}_advance({c.name}, t, h);")]
+        ),
         record=lines(1, [f"row[{i}] = {_at(v)};" for i, v in enumerate(task.recorded)]),
         names=", ".join(f'"{v.signal}"' for v in task.recorded),
-        sweeps=len(parts), numerator=task.step[0], denominator=task.step[1], h=task.h,
-        stride=task.stride, width=len(task.recorded),
-    )  # fmt: skip
+        sweeps=len(parts),
+        numerator=task.step[0],
+        denominator=task.step[1],
+        h=task.h,
+        stride=task.stride,
+        width=len(task.recorded),
+    )
 
 
 def _at(variable: Variable) -> str:

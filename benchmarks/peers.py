@@ -52,10 +52,15 @@ def fmpy(task: Task) -> Measured:
         slave.enterInitializationMode()
         inputs = task.of_component(list(sources), component.name)
         own = task.of_component(outputs, component.name)
-        members.append((
-            slave, [v.reference for v in inputs], [place[sources[v]] for v in inputs],
-            [v.reference for v in own], slice(place[own[0]], place[own[-1]] + 1) if own else slice(0, 0),
-        ))  # fmt: skip
+        members.append(
+            (
+                slave,
+                [v.reference for v in inputs],
+                [place[sources[v]] for v in inputs],
+                [v.reference for v in own],
+                slice(place[own[0]], place[own[-1]] + 1) if own else slice(0, 0),
+            )
+        )
 
     for _ in members:  # as many sweeps as a chain of all of them needs
         for slave, inputs, drivers, references, own in members:

@@ -31,8 +31,10 @@ from orchestrator.errors import OrchError
 COMMUNICATION_STEPS = (1e-4, 1e-3)  # s; the experiment's, and one beyond its controllers' limit: costs only
 
 # Read off runs of a Jacobi loop with their times in the place of ours, which gives their bits.
-WHY = ("What is left in jacobi order is the clock: orch steps from k h by h, libcosim by differences of such times, "
-       "Ecos from running sums of h.")  # fmt: skip
+WHY = (
+    "What is left in jacobi order is the clock: orch steps from k h by h, libcosim by differences of such times, "
+    "Ecos from running sums of h."
+)
 
 Repeats = dict[Contender, list[Measured]]
 
@@ -59,8 +61,11 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5, help="default: 5")
-    parser.add_argument("--steps", type=int, help="of the fastest contenders; default: 400000.  Slower ones take 1/10, "
-                        "other masters on Python FMUs 1/40")  # fmt: skip
+    parser.add_argument(
+        "--steps",
+        type=int,
+        help="of the fastest contenders; default: 400000.  Slower ones take 1/10, other masters on Python FMUs 1/40",
+    )
     parser.add_argument("--full", action="store_true", help="all contenders take all the steps")
     parser.add_argument("--quick", action="store_true", help="one repeat of few steps")
     parser.add_argument("--json", type=Path, metavar="FILE", help="every measurement, for scripts")
@@ -86,8 +91,12 @@ def _measure(bench: Bench, chosen: Sequence[Contender], h: float, steps: int, re
         for contender in chosen:
             measured = bench.run(contender, h, steps if full else round(steps * contender.share))
             found[contender].append(measured)
-            print(f"{h:g} s, {repeat + 1}/{repeats}: {contender.name}, FMUs: {contender.fmus}: "
-                  f"{measured.step:.4g} us a step", file=sys.stderr, flush=True)  # fmt: skip
+            print(
+                f"{h:g} s, {repeat + 1}/{repeats}: {contender.name}, FMUs: {contender.fmus}: "
+                f"{measured.step:.4g} us a step",
+                file=sys.stderr,
+                flush=True,
+            )
     return found
 
 
@@ -156,11 +165,20 @@ def _agreement(bench: Bench, usable: Sequence[Contender], h: float, steps: int, 
         final = bench.run(contender, h, steps).final
         signal, difference, equal = _compare(final, by_order[algorithm])
         where = f", {signal}" if difference else ""
-        lines.append(f"| {contender.name} | {contender.fmus} | {algorithm} | {equal} of {len(final)} | "
-                     f"{difference:.2g}{where} |")  # fmt: skip
+        lines.append(
+            f"| {contender.name} | {contender.fmus} | {algorithm} | {equal} of {len(final)} | {difference:.2g}{where} |"
+        )
         report["agreement"].append(
-            {"master": contender.name, "packaging": contender.packaging, "order": algorithm, "equal": equal,
-             "of": len(final), "difference": difference, "signal": signal})  # fmt: skip
+            {
+                "master": contender.name,
+                "packaging": contender.packaging,
+                "order": algorithm,
+                "equal": equal,
+                "of": len(final),
+                "difference": difference,
+                "signal": signal,
+            }
+        )
     signal, difference, _ = _compare(by_order["jacobi"], by_order["gauss-seidel"])
     lines.append(f"\n{WHY}  The order itself, jacobi or gauss-seidel, makes {difference:.2g}, {signal}.")
     return "\n".join(lines)
@@ -179,11 +197,16 @@ def _compare(values: Mapping[str, float], reference: Mapping[str, float]) -> tup
 
 def _raw(repeats: Repeats) -> list[dict[str, Any]]:
     return [
-        {"master": contender.name, "packaging": contender.packaging, "steps": runs[0].steps,
-         "step_us": [run.step for run in runs], "process_s": [run.whole for run in runs],
-         "stepping_s": [run.stepping for run in runs]}
+        {
+            "master": contender.name,
+            "packaging": contender.packaging,
+            "steps": runs[0].steps,
+            "step_us": [run.step for run in runs],
+            "process_s": [run.whole for run in runs],
+            "stepping_s": [run.stepping for run in runs],
+        }
         for contender, runs in repeats.items()
-    ]  # fmt: skip
+    ]
 
 
 if __name__ == "__main__":

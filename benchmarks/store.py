@@ -55,9 +55,12 @@ def fill(store: Path, records: int) -> list[str]:
             if component["name"] == "vehicle1":
                 component["parameters"] = {**component["parameters"], "eta_0.z": chance.uniform(0.0, 2.0)}
         own = {
-            "run_id": digest[:10], "digest": digest, "seed": i, "experiment_resolved": json.dumps(resolved),
+            "run_id": digest[:10],
+            "digest": digest,
+            "seed": i,
+            "experiment_resolved": json.dumps(resolved),
             "metrics": json.dumps({name: chance.random() for name in json.loads(attributes["metrics"])}),
-        }  # fmt: skip
+        }
         with h5py.File(place / f"{digest[:10]}.h5", "w", libver=("earliest", "v108")) as file:
             file.attrs.update({**attributes, **own})
             file["time"] = [0.0]

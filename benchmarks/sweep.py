@@ -29,10 +29,15 @@ CONTROLLERS = ["pid", "nstsmc", "ftsosmc"]
 
 
 def prepare(draws: int, keep: str) -> Study:
-    return study.prepare(EXPERIMENT, {
-        "master.step": 1e-3, "sweep.draws": draws, "sweep.keep": keep,
-        'sweep.vary."components.controller.fmu"': CONTROLLERS,
-    })  # fmt: skip
+    return study.prepare(
+        EXPERIMENT,
+        {
+            "master.step": 1e-3,
+            "sweep.draws": draws,
+            "sweep.keep": keep,
+            'sweep.vary."components.controller.fmu"': CONTROLLERS,
+        },
+    )
 
 
 def swept(made: Study, workers: int) -> tuple[float, bytes]:
@@ -79,8 +84,10 @@ def main() -> None:
     pairs = [(swept(made, 1), swept(made, 2)) for _ in range(given.repeats)]
     one, two = (statistics.median(pair[i][0] for pair in pairs) for i in (0, 1))
     same = len({table for pair in pairs for _, table in pair}) == 1
-    print(f"{len(made.design.runs())} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
-          f"{'the same table' if same else 'DIFFERENT TABLES'}")  # fmt: skip
+    print(
+        f"{len(made.design.runs())} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
+        f"{'the same table' if same else 'DIFFERENT TABLES'}"
+    )
     for keep in ("metrics", "decimated", "full"):
         print(f"a run beyond its stepping, keep = {keep!r}: {1e3 * beyond_stepping(keep, min(60, given.runs)):.1f} ms")
     if Path("/proc/self/statm").exists():

@@ -1,10 +1,10 @@
 """orch: a co-simulation bench for underwater-vehicle control.
 
-    import orchestrator as orch
-    run = orch.run("experiments/gripping_currents.toml", set={"master.stop_time": 10.0})
-    run["vehicle1.eta.x"]          # numpy array; run["vehicle1.eta"] is (N, 6)
-    run.to_dataframe()             # pandas, indexed by time
-    orch.open_run("last")
+import orchestrator as orch
+run = orch.run("experiments/gripping_currents.toml", set={"master.stop_time": 10.0})
+run["vehicle1.eta.x"]          # numpy array; run["vehicle1.eta"] is (N, 6)
+run.to_dataframe()             # pandas, indexed by time
+orch.open_run("last")
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """What can go wrong, as a tree.
 
-    OrchError                 everything a user can cause or meet; its text is a sentence for him
-      ExperimentError         the experiment file or its FMUs do not fit: nothing was started (exit 2)
-      FmuError                one FMU cannot be read, built or loaded (exit 2)
-      StoreError              a record cannot be found, read or written (exit 2)
-      RunError                the run itself failed; `.run` is open on the record (exit 3)
+OrchError                 everything a user can cause or meet; its text is a sentence for him
+  ExperimentError         the experiment file or its FMUs do not fit: nothing was started (exit 2)
+  FmuError                one FMU cannot be read, built or loaded (exit 2)
+  StoreError              a record cannot be found, read or written (exit 2)
+  RunError                the run itself failed; `.run` is open on the record (exit 3)
 """
 
 from __future__ import annotations

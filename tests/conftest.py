@@ -58,8 +58,17 @@ def _build_folder(tmp_path_factory):
 @pytest.fixture(scope="session")
 def shipped(_build_folder):
     """Builds the models of the experiments, so that no command says that it does."""
-    return build.build(["pid", "mfsosmc", "bluerov2_allocation", "bluerov2_thesis", "spiral_reference",
-                        "gripping_reference", "ocean_current"])  # fmt: skip
+    return build.build(
+        [
+            "pid",
+            "mfsosmc",
+            "bluerov2_allocation",
+            "bluerov2_thesis",
+            "spiral_reference",
+            "gripping_reference",
+            "ocean_current",
+        ]
+    )
 
 
 @pytest.fixture
@@ -305,7 +314,7 @@ class Waves(PythonModel):
         self.decay = np.exp(-t / 0.02)
         self.eta = np.r_[self.place, 0, 0, self.heading]
 ''',
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="session")
@@ -489,12 +498,19 @@ PROBE_VARIABLES = (
 
 def variable_xml(reference, name, kind, causality, start=None, unit=None, description="", low=None, high=None):
     """A ScalarVariable of modelDescription.xml."""
-    attributes = {"start": start, "unit": unit, "min": low, "max": high,
-                  "declaredType": "Level" if kind == "Enumeration" else None}  # fmt: skip
+    attributes = {
+        "start": start,
+        "unit": unit,
+        "min": low,
+        "max": high,
+        "declaredType": "Level" if kind == "Enumeration" else None,
+    }
     given = " ".join(f'{key}="{value}"' for key, value in attributes.items() if value is not None)
     variability = "fixed" if causality == "parameter" else "continuous" if kind == "Real" else "discrete"
-    return (f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
-            f'variability="{variability}" description="{description}"><{kind} {given}/></ScalarVariable>')  # fmt: skip
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
+        f'variability="{variability}" description="{description}"><{kind} {given}/></ScalarVariable>'
+    )
 
 
 def description_xml(name, variables, version="2.0", interface="CoSimulation", options=""):
@@ -533,8 +549,13 @@ def paper_fmu(path, variables=PROBE_VARIABLES, **changes):
     """An FMU that can be read and wired but not loaded: its binary is none."""
     folder, suffix = platform_folder()
     name = path.stem
-    return write_zip(path, {"modelDescription.xml": description_xml(name, variables, **changes),
-                            f"binaries/{folder}/{name}{suffix}": b"no library"})  # fmt: skip
+    return write_zip(
+        path,
+        {
+            "modelDescription.xml": description_xml(name, variables, **changes),
+            f"binaries/{folder}/{name}{suffix}": b"no library",
+        },
+    )
 
 
 def compile_fmu(path, source, variables, **changes):
@@ -545,8 +566,13 @@ def compile_fmu(path, source, variables, **changes):
     (work / "model.c").write_text(source, encoding="utf-8")
     library = work / f"{name}{suffix}"
     subprocess.run([COMPILER, "-w", "-shared", "-fPIC", "-o", library, work / "model.c", "-lm"], check=True)
-    return write_zip(path, {"modelDescription.xml": description_xml(name, variables, **changes),
-                            f"binaries/{folder}/{library.name}": library.read_bytes()})  # fmt: skip
+    return write_zip(
+        path,
+        {
+            "modelDescription.xml": description_xml(name, variables, **changes),
+            f"binaries/{folder}/{library.name}": library.read_bytes(),
+        },
+    )
 
 
 @pytest.fixture(scope="session")
@@ -557,7 +583,7 @@ def probe(tmp_path_factory):
     return compile_fmu(tmp_path_factory.mktemp("probe") / "probe.fmu", PROBE, PROBE_VARIABLES)
 
 
-PYTHONFMU_PROBE = '''
+PYTHONFMU_PROBE = """
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
 from {helper} import WORD
 
@@ -574,7 +600,7 @@ class {name}(Fmi2Slave):
         if WORD == "east" and t > 0.015:
             raise RuntimeError("an east wind")
         return True
-'''
+"""
 
 
 @pytest.fixture(scope="session")
@@ -586,7 +612,11 @@ def foreign(tmp_path_factory):
         (folder / f"{name.lower()}.py").write_text(PYTHONFMU_PROBE.format(name=name, helper=helper), encoding="utf-8")
         (folder / f"{helper}.py").write_text(f'WORD = "{word}"\n', encoding="utf-8")
         pythonfmu = Path(ORCH).with_name("pythonfmu")
-        subprocess.run([pythonfmu, "build", "-f", f"{name.lower()}.py", "--dest", ".", f"{helper}.py"],
-                       cwd=folder, check=True, capture_output=True)  # fmt: skip
+        subprocess.run(
+            [pythonfmu, "build", "-f", f"{name.lower()}.py", "--dest", ".", f"{helper}.py"],
+            cwd=folder,
+            check=True,
+            capture_output=True,
+        )
         found[name.lower()] = folder / f"{name}.fmu"
     return SimpleNamespace(**found)

@@ -57,25 +57,33 @@ def datagram(chance, encoder):
 def request(chance):
     odd = [math.nan, math.inf, -1.0, 1e30, 30.0, 148.0]
     ftp = struct.Struct("<HBBBBBBI").pack
-    return chance.choice([
-        lambda: mavlink.MAVLink_command_long_message(1, 1, chance.choice([512, 511, 510, 176, 400, 192]), 0,
-                                                     *(chance.choice(odd) for _ in range(7))),
-        lambda: mavlink.MAVLink_command_int_message(0, 0, 99, chance.randrange(1 << 16), 1, 1, math.inf, math.nan, 3, 4,
-                                                    2**31 - 1, -(2**31), math.nan),
-        lambda: mavlink.MAVLink_param_request_list_message(1, 1),
-        lambda: mavlink.MAVLink_param_request_read_message(0, 0, b"", chance.randrange(-1, 400)),
-        lambda: mavlink.MAVLink_param_set_message(1, 1, chance.randbytes(16), math.nan, chance.randrange(256)),
-        lambda: mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, list(chance.randbytes(251))),
-        lambda: mavlink.MAVLink_file_transfer_protocol_message(
-            0, 1, 1, list((ftp(1, 1, 4, 16, 0, 0, 0, 0) + b"@PARAM/param.pck").ljust(251, b"\0"))),
-        lambda: mavlink.MAVLink_file_transfer_protocol_message(
-            0, 1, 1, list(ftp(1, 1, 15, 239, 0, 0, 0, 0).ljust(251, b"\0"))),
-        lambda: mavlink.MAVLink_set_mode_message(1, chance.randrange(256), chance.randrange(100)),
-        lambda: mavlink.MAVLink_request_data_stream_message(1, 1, chance.randrange(20), 60_000, chance.randrange(2)),
-        lambda: mavlink.MAVLink_mission_count_message(1, 1, 65535, chance.randrange(256)),
-        lambda: mavlink.MAVLink_timesync_message(0, chance.randrange(2**62)),
-        lambda: mavlink.MAVLink_manual_control_message(1, 32767, -32768, 32767, -32768, 65535),
-    ])()  # fmt: skip
+    return chance.choice(
+        [
+            lambda: mavlink.MAVLink_command_long_message(
+                1, 1, chance.choice([512, 511, 510, 176, 400, 192]), 0, *(chance.choice(odd) for _ in range(7))
+            ),
+            lambda: mavlink.MAVLink_command_int_message(
+                0, 0, 99, chance.randrange(1 << 16), 1, 1, math.inf, math.nan, 3, 4, 2**31 - 1, -(2**31), math.nan
+            ),
+            lambda: mavlink.MAVLink_param_request_list_message(1, 1),
+            lambda: mavlink.MAVLink_param_request_read_message(0, 0, b"", chance.randrange(-1, 400)),
+            lambda: mavlink.MAVLink_param_set_message(1, 1, chance.randbytes(16), math.nan, chance.randrange(256)),
+            lambda: mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, list(chance.randbytes(251))),
+            lambda: mavlink.MAVLink_file_transfer_protocol_message(
+                0, 1, 1, list((ftp(1, 1, 4, 16, 0, 0, 0, 0) + b"@PARAM/param.pck").ljust(251, b"\0"))
+            ),
+            lambda: mavlink.MAVLink_file_transfer_protocol_message(
+                0, 1, 1, list(ftp(1, 1, 15, 239, 0, 0, 0, 0).ljust(251, b"\0"))
+            ),
+            lambda: mavlink.MAVLink_set_mode_message(1, chance.randrange(256), chance.randrange(100)),
+            lambda: mavlink.MAVLink_request_data_stream_message(
+                1, 1, chance.randrange(20), 60_000, chance.randrange(2)
+            ),
+            lambda: mavlink.MAVLink_mission_count_message(1, 1, 65535, chance.randrange(256)),
+            lambda: mavlink.MAVLink_timesync_message(0, chance.randrange(2**62)),
+            lambda: mavlink.MAVLink_manual_control_message(1, 32767, -32768, 32767, -32768, 65535),
+        ]
+    )()
 
 
 def resident_memory(process):

@@ -33,8 +33,19 @@ from orchestrator.models import build
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 LONGEST = 10.0  # s that a command may take
-MODELS = ("pid", "lyapunov", "feedback_linearization", "mfsosmc", "nstsmc", "ftsosmc", "bluerov2_allocation",
-          "bluerov2_thesis", "spiral_reference", "gripping_reference", "ocean_current")  # fmt: skip
+MODELS = (
+    "pid",
+    "lyapunov",
+    "feedback_linearization",
+    "mfsosmc",
+    "nstsmc",
+    "ftsosmc",
+    "bluerov2_allocation",
+    "bluerov2_thesis",
+    "spiral_reference",
+    "gripping_reference",
+    "ocean_current",
+)
 
 EVERYTHING = """
 title = "All that an experiment may say"
@@ -90,23 +101,154 @@ draws = 3
 "components.vehicle.parameters.m" = { distribution = "uniform", low = 10.0, high = 12.0 }
 """
 
-TEXTS = ("", " ", "*", "!", "a", "\0", "é", "\U0001f419", "../../x.fmu", "/dev/zero", "/dev/zero.fmu", "a\nb", "{}",
-         "%s%n", "nan", "pid", "vehicle.eta", "controller", "[", "]", "[1]", "eta[1", ".", "..", "x" * 300,
-         "x" * 100_000, "-1", "fmu", "\ud7ff", "\u202e", "con", "C:\\x.fmu", "~/x.fmu", "[a-", "**", "vehicle.*.*",
-         "1e400")  # fmt: skip
-NUMBERS = (0, -0.0, -1, 1, 2, 3.5, 1e-3, 1e-9, 1e-300, 5e-324, 1e300, 1.7e308, 1e15, 2**31, 2**53 + 1, 2**63, -(2**63),
-           10**40, 10**400, math.nan, math.inf, -math.inf, 0.1 + 0.2, 1 / 3)  # fmt: skip
+TEXTS = (
+    "",
+    " ",
+    "*",
+    "!",
+    "a",
+    "\0",
+    "é",
+    "\U0001f419",
+    "../../x.fmu",
+    "/dev/zero",
+    "/dev/zero.fmu",
+    "a\nb",
+    "{}",
+    "%s%n",
+    "nan",
+    "pid",
+    "vehicle.eta",
+    "controller",
+    "[",
+    "]",
+    "[1]",
+    "eta[1",
+    ".",
+    "..",
+    "x" * 300,
+    "x" * 100_000,
+    "-1",
+    "fmu",
+    "\ud7ff",
+    "\u202e",
+    "con",
+    "C:\\x.fmu",
+    "~/x.fmu",
+    "[a-",
+    "**",
+    "vehicle.*.*",
+    "1e400",
+)
+NUMBERS = (
+    0,
+    -0.0,
+    -1,
+    1,
+    2,
+    3.5,
+    1e-3,
+    1e-9,
+    1e-300,
+    5e-324,
+    1e300,
+    1.7e308,
+    1e15,
+    2**31,
+    2**53 + 1,
+    2**63,
+    -(2**63),
+    10**40,
+    10**400,
+    math.nan,
+    math.inf,
+    -math.inf,
+    0.1 + 0.2,
+    1 / 3,
+)
 MOMENTS = (datetime.date(2026, 3, 1), datetime.time(7, 32), datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC))
 TOKEN = re.compile(r'"[^"\n]*"|[A-Za-z_][\w-]*|[-+]?\d[\w.+-]*|\s+|.', re.DOTALL)
-SNIPPETS = ("=", "[", "]", "[[", "{", "}", '"', "'''", "#", "\r", "\ufeff", "1e400", "-nan", "0x" + "f" * 300,
-            "9" * 5000, "[" * 500, "a." * 500 + "a = 1\n", "\n[master]\n", "\n[[components]]\n",
-            "\n[components.a.b.c]\n", "x = 1\n", "1979-05-27", "inf", '"\\u0000"', '"\\U0001F419"', "true",
-            "[components]\n", "metrics = 3\n")  # fmt: skip
-KEYS = ("master", "components", "vehicle", "controller", "parameters", "record", "K_p", "x", "step", "start", "eta_0",
-        "fmu", '"a.b"', "", "é", "0")  # fmt: skip
-XML_VALUES = ("", "-1", "0", "1", "4294967295", "4294967296", "1e400", "nan", "true", "x" * 5000, "../x", "a/b",
-              "é", "2.0", "3.0", "1.0", "input", "output", "parameter", "independent", "Real", "String", "&#10;",
-              "%s", "1 2 3", "99999999", "eta.x", "K[1,", "a]", ".", "&lt;")  # fmt: skip
+SNIPPETS = (
+    "=",
+    "[",
+    "]",
+    "[[",
+    "{",
+    "}",
+    '"',
+    "'''",
+    "#",
+    "\r",
+    "\ufeff",
+    "1e400",
+    "-nan",
+    "0x" + "f" * 300,
+    "9" * 5000,
+    "[" * 500,
+    "a." * 500 + "a = 1\n",
+    "\n[master]\n",
+    "\n[[components]]\n",
+    "\n[components.a.b.c]\n",
+    "x = 1\n",
+    "1979-05-27",
+    "inf",
+    '"\\u0000"',
+    '"\\U0001F419"',
+    "true",
+    "[components]\n",
+    "metrics = 3\n",
+)
+KEYS = (
+    "master",
+    "components",
+    "vehicle",
+    "controller",
+    "parameters",
+    "record",
+    "K_p",
+    "x",
+    "step",
+    "start",
+    "eta_0",
+    "fmu",
+    '"a.b"',
+    "",
+    "é",
+    "0",
+)
+XML_VALUES = (
+    "",
+    "-1",
+    "0",
+    "1",
+    "4294967295",
+    "4294967296",
+    "1e400",
+    "nan",
+    "true",
+    "x" * 5000,
+    "../x",
+    "a/b",
+    "é",
+    "2.0",
+    "3.0",
+    "1.0",
+    "input",
+    "output",
+    "parameter",
+    "independent",
+    "Real",
+    "String",
+    "&#10;",
+    "%s",
+    "1 2 3",
+    "99999999",
+    "eta.x",
+    "K[1,",
+    "a]",
+    ".",
+    "&lt;",
+)
 
 
 # --- Experiments ------------------------------------------------------------------------------------------------------
@@ -366,8 +508,15 @@ def originals(folder):
 # --- The loop ---------------------------------------------------------------------------------------------------------
 
 # Which argument names the file that changes, and which the folder that it is relative to.
-WRITES = {"os.mkdir": (0, 2), "os.remove": (0, 1), "os.rmdir": (0, 1), "os.truncate": (0, None), "os.rename": (1, 3),
-          "os.link": (1, 3), "os.symlink": (1, 2)}  # fmt: skip
+WRITES = {
+    "os.mkdir": (0, 2),
+    "os.remove": (0, 1),
+    "os.rmdir": (0, 1),
+    "os.truncate": (0, None),
+    "os.rename": (1, 3),
+    "os.link": (1, 3),
+    "os.symlink": (1, 2),
+}
 MODES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 strays: list[str] = []
 ended: dict[tuple[str, int], int] = {}  # how often a command ended so
@@ -415,7 +564,7 @@ def judge(number, trying, seed, loud):
         found += [f"{number}: {' '.join(command)[:200]} writes: {stray}" for stray in strays[:3]]
         if "--json" in command and code != 2:
             try:
-                json.loads(said[said.index("{"):] if code == 0 else said.splitlines()[0])
+                json.loads(said[said.index("{") :] if code == 0 else said.splitlines()[0])
             except ValueError as error:
                 found.append(f"{number}: {' '.join(command)[:200]}: no JSON: {error}\n{said[-500:]}")
     return found

@@ -24,8 +24,9 @@ def libcosim(ssp, task):
     observer = CosimObserver.create_last_value()
     assert execution.add_observer(observer)
     index = {info.name.decode(): info.index for info in execution.slave_infos()}
-    references = {name: {v.name.decode(): v.reference for v in execution.slave_variables(i)}
-                  for name, i in index.items()}  # fmt: skip
+    references = {
+        name: {v.name.decode(): v.reference for v in execution.slave_variables(i)} for name, i in index.items()
+    }
     wanted = {}
     for place, signal in enumerate(task["signals"]):
         component, _, variable = signal.partition(".")

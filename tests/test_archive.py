@@ -58,34 +58,61 @@ def with_doctype(declarations, use=""):
 LAUGHS = '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
 
 
-@pytest.mark.parametrize("xml", [
-    with_doctype(LAUGHS, "&a11;"),
-    with_doctype(LAUGHS, "&a11;").replace("</fmiModelDescription>", "&a11;</fmiModelDescription>"),
-    with_doctype(f'<!ENTITY big "{"x" * 100_000}">', "&big;" * 1000),
-    with_doctype('<!ENTITY secret SYSTEM "file:///etc/passwd">').replace("</fmiM", "&secret;</fmiM"),
-    with_doctype('<!ENTITY % there SYSTEM "http://127.0.0.1:9/evil.dtd"> %there;'),
-    with_doctype(""),
-    XML.replace("?>", '?>\n<!DOCTYPE fmiModelDescription SYSTEM "http://127.0.0.1:9/evil.dtd">', 1),
-    with_doctype(LAUGHS, "&a11;").encode("utf-16"),
-    # An encoding that expat does not know and libxml2 does.
-    with_doctype(LAUGHS, "&a1;").replace("version='1.0'", "version='1.0' encoding='cp932'").encode("cp932"),
-], ids=["attribute", "text", "quadratic", "file", "parameter", "empty", "external", "utf-16", "cp932"])  # fmt: skip
+@pytest.mark.parametrize(
+    "xml",
+    [
+        with_doctype(LAUGHS, "&a11;"),
+        with_doctype(LAUGHS, "&a11;").replace("</fmiModelDescription>", "&a11;</fmiModelDescription>"),
+        with_doctype(f'<!ENTITY big "{"x" * 100_000}">', "&big;" * 1000),
+        with_doctype('<!ENTITY secret SYSTEM "file:///etc/passwd">').replace("</fmiM", "&secret;</fmiM"),
+        with_doctype('<!ENTITY % there SYSTEM "http://127.0.0.1:9/evil.dtd"> %there;'),
+        with_doctype(""),
+        XML.replace("?>", '?>\n<!DOCTYPE fmiModelDescription SYSTEM "http://127.0.0.1:9/evil.dtd">', 1),
+        with_doctype(LAUGHS, "&a11;").encode("utf-16"),
+        # An encoding that expat does not know and libxml2 does.
+        with_doctype(LAUGHS, "&a1;").replace("version='1.0'", "version='1.0' encoding='cp932'").encode("cp932"),
+    ],
+    ids=["attribute", "text", "quadratic", "file", "parameter", "empty", "external", "utf-16", "cp932"],
+)
 def test_a_description_with_a_document_type_is_not_read(refused, trap, xml):
     assert "has a document type" in refused(with_description(trap, xml))
 
 
-@pytest.mark.parametrize("xml", [
-    "<a>" * 100_000,
-    "<a>" * 100_000 + "</a>" * 100_000,
-    XML.replace("A probe", "x" * 20_000_000),
-    XML.replace("<ModelVariables>", f"<ModelVariables>{'y' * 20_000_000}"),
-    XML.encode("utf-16")[:-1],
-    XML.replace("A probe", "déjà vu").encode("latin-1"),
-    XML.replace("utf-8", "klingon").replace("UTF-8", "klingon"),
-    XML.replace("A probe", "a\0b"), XML.replace("A probe", "&#0;"), XML.replace("A probe", "&#xD800;"),
-    XML.replace("A probe", "&nbsp;"), "", b"\xff\xfe\x00", b"PK\x05\x06",
-], ids=["open", "deep", "attribute", "text", "utf-16", "latin-1", "klingon", "nul", "zero", "surrogate", "entity",
-        "empty", "bytes", "zip"])  # fmt: skip
+@pytest.mark.parametrize(
+    "xml",
+    [
+        "<a>" * 100_000,
+        "<a>" * 100_000 + "</a>" * 100_000,
+        XML.replace("A probe", "x" * 20_000_000),
+        XML.replace("<ModelVariables>", f"<ModelVariables>{'y' * 20_000_000}"),
+        XML.encode("utf-16")[:-1],
+        XML.replace("A probe", "déjà vu").encode("latin-1"),
+        XML.replace("utf-8", "klingon").replace("UTF-8", "klingon"),
+        XML.replace("A probe", "a\0b"),
+        XML.replace("A probe", "&#0;"),
+        XML.replace("A probe", "&#xD800;"),
+        XML.replace("A probe", "&nbsp;"),
+        "",
+        b"\xff\xfe\x00",
+        b"PK\x05\x06",
+    ],
+    ids=[
+        "open",
+        "deep",
+        "attribute",
+        "text",
+        "utf-16",
+        "latin-1",
+        "klingon",
+        "nul",
+        "zero",
+        "surrogate",
+        "entity",
+        "empty",
+        "bytes",
+        "zip",
+    ],
+)
 def test_a_description_that_cannot_be_read_is_told_at_once(refused, trap, xml):
     assert "modelDescription.xml cannot be read: " in refused(with_description(trap, xml))
 
@@ -103,14 +130,24 @@ def test_a_description_may_have_any_encoding_that_it_names(orch, trap, write, en
     assert answer.json["description"] == "déjà vu"
 
 
-@pytest.mark.parametrize(("name", "words"), [
-    ("resources/a\x01b", "control character"), ("resources/nul", "means another on Windows"),
-    ("resources/COM1.txt", "means another on Windows"), ("aux/a", "means another on Windows"),
-    ("resources/a. /b", "means another on Windows"), ("resources/a.", "means another on Windows"),
-    ("MODELDESCRIPTION.XML", "same file on some systems"), ("Binaries/a", "same file on some systems"),
-    ("modelDescription.xml/a", "as a file and as a folder"), ("modelDescription.xml", "twice"),
-    ("resources/", ""), ("resources/console.txt", ""), ("resources/.hidden", ""),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("resources/a\x01b", "control character"),
+        ("resources/nul", "means another on Windows"),
+        ("resources/COM1.txt", "means another on Windows"),
+        ("aux/a", "means another on Windows"),
+        ("resources/a. /b", "means another on Windows"),
+        ("resources/a.", "means another on Windows"),
+        ("MODELDESCRIPTION.XML", "same file on some systems"),
+        ("Binaries/a", "same file on some systems"),
+        ("modelDescription.xml/a", "as a file and as a folder"),
+        ("modelDescription.xml", "twice"),
+        ("resources/", ""),
+        ("resources/console.txt", ""),
+        ("resources/.hidden", ""),
+    ],
+)
 def test_names_that_mean_two_things_are_refused(refused, orch, trap, name, words):
     with zipfile.ZipFile(trap, "a") as archive, pytest.MonkeyPatch.context() as quiet:
         quiet.setattr("warnings.warn", lambda *_, **__: None)  # zipfile's, of a name that is there twice
@@ -136,16 +173,22 @@ def fifield(files, kernel):
     local = struct.pack("<4s5H3L2H", b"PK\3\4", 20, 0, 8, 0, 0, crc, len(packed), kernel, 1, 0) + b"a" + packed
     directory = b"".join(
         struct.pack("<4s6H3L5H2L", b"PK\1\2", 20, 20, 0, 8, 0, 0, crc, len(packed), kernel, len(name), 0, 0, 0, 0, 0, 0)
-        + name for name in (b"%06d" % i for i in range(files))
-    )  # fmt: skip
+        + name
+        for name in (b"%06d" % i for i in range(files))
+    )
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, files % 65536, files % 65536, len(directory), len(local), 0)
     return local + directory + end
 
 
-@pytest.mark.parametrize(("files", "kernel", "words"), [
-    (250, 100_000, "overlap"), (5_000, 100_000, "absurd size"), (30_000, 10, "over 20000 files"),
-    (1_000_000, 10, "over 20000 files"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("files", "kernel", "words"),
+    [
+        (250, 100_000, "overlap"),
+        (5_000, 100_000, "absurd size"),
+        (30_000, 10, "over 20000 files"),
+        (1_000_000, 10, "over 20000 files"),
+    ],
+)
 def test_files_that_share_their_bytes_are_refused(refused, trap, files, kernel, words):
     trap.write_bytes(fifield(files, kernel))
     assert words in refused(trap)
@@ -158,9 +201,13 @@ def test_many_files_of_a_bearable_ratio_each_are_absurd_together(refused, trap):
     assert "absurd size" in refused(trap)
 
 
-@pytest.mark.parametrize(("method", "words"), [
-    (zipfile.ZIP_BZIP2, "FMI does not allow"), (zipfile.ZIP_LZMA, "FMI does not allow"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        (zipfile.ZIP_BZIP2, "FMI does not allow"),
+        (zipfile.ZIP_LZMA, "FMI does not allow"),
+    ],
+)
 def test_only_the_compression_of_fmi_is_opened(refused, trap, method, words):
     with zipfile.ZipFile(trap, "a", method) as archive:
         archive.writestr("resources/a", bytes(1000))
@@ -186,7 +233,7 @@ def test_a_size_that_lies_unpacks_no_more_than_it_says(refused, trap):
 def test_an_fmu_that_changes_after_it_was_checked_does_not_run(python, trap, write):
     table = single("trap.fmu")
     write(table)
-    answer = python('''
+    answer = python("""
 import orchestrator as orch
 from pathlib import Path
 from orchestrator.experiment import experiment
@@ -198,5 +245,5 @@ try:
     runner.execute(plan)
 except orch.OrchError as error:
     print(error)
-''')  # fmt: skip
+""")
     assert "trap.fmu has changed since it was checked" in answer.out, answer.err

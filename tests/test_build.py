@@ -136,14 +136,17 @@ def test_an_fmu_whose_source_is_gone_still_runs(fresh, model, write, tmp_path):
 # --- Mistakes ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("source", "words"), [
-    ("x = (1,\n", "line 1: '(' was never closed"),
-    ("\n\nraise ValueError('not today')\n", "line 3: ValueError: not today"),
-    ("\nimport nothing_of_that_name\n", "line 2: ModuleNotFoundError: No module named 'nothing_of_that_name'"),
-    ("x = 1\n", "one class derived from Model or PythonModel; this one has none"),
-    (MODELS["clock"] + MODELS["relay"], "this one has Clock, Relay"),
-    (MODELS["clock"].replace("def do_step", "def step"), "this one has none"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("x = (1,\n", "line 1: '(' was never closed"),
+        ("\n\nraise ValueError('not today')\n", "line 3: ValueError: not today"),
+        ("\nimport nothing_of_that_name\n", "line 2: ModuleNotFoundError: No module named 'nothing_of_that_name'"),
+        ("x = 1\n", "one class derived from Model or PythonModel; this one has none"),
+        (MODELS["clock"] + MODELS["relay"], "this one has Clock, Relay"),
+        (MODELS["clock"].replace("def do_step", "def step"), "this one has none"),
+    ],
+)
 def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path, source, words):
     path = model("mine", source)
     answer = fresh("build", path)
@@ -197,11 +200,14 @@ def test_the_name_of_a_shipped_model_is_refused(fresh, model, tmp_path):
     assert "'pid' is the name of a model that comes with orch; rename the file" in answer.err
 
 
-@pytest.mark.parametrize(("name", "words"), [
-    ("pdi", "no model 'pdi'; did you mean 'pid'?"),
-    ("mime.py", "no file 'mime.py'; did you mean 'mine.py'?"),
-    ("my-model.py", "'my-model' cannot name a model; use letters, digits and _"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("pdi", "no model 'pdi'; did you mean 'pid'?"),
+        ("mime.py", "no file 'mime.py'; did you mean 'mine.py'?"),
+        ("my-model.py", "'my-model' cannot name a model; use letters, digits and _"),
+    ],
+)
 def test_what_cannot_be_built_says_why(fresh, model, name, words):
     model("mine", MODELS["clock"])
     model("my-model", MODELS["clock"])
@@ -269,8 +275,15 @@ def test_a_new_controller_builds_runs_and_is_listed(fresh, write, spiral, tmp_pa
     assert answer.out.splitlines()[0] == "my_first.py"
     assert "orch build my_first.py" in answer.out
     assert fresh("build", "my_first.py").code == 0
-    run = fresh("run", write(spiral), "--swap", "controller=my_first", "--json",
-                "--set", "components.controller.parameters.K_p=90")  # fmt: skip
+    run = fresh(
+        "run",
+        write(spiral),
+        "--swap",
+        "controller=my_first",
+        "--json",
+        "--set",
+        "components.controller.parameters.K_p=90",
+    )
     assert run.code == 0, run.err
     assert abs(last(run, tmp_path)["controller.tau.Z"]) > 0.0
     assert {fmu["name"] for fmu in fresh("fmus", "--json").json} == {*build.shipped(), "my_first"}
@@ -279,8 +292,9 @@ def test_a_new_controller_builds_runs_and_is_listed(fresh, write, spiral, tmp_pa
 
 def test_what_a_new_controller_says_to_do_next_works(fresh, tmp_path):
     answer = fresh("new", "controller", "mine")
-    commands = [command.strip() for line in answer.out.splitlines()[1:]
-                for command in line.partition(":")[2].split("&&")]  # fmt: skip
+    commands = [
+        command.strip() for line in answer.out.splitlines()[1:] for command in line.partition(":")[2].split("&&")
+    ]
     assert len(commands) == 3
     for command in commands:
         program, *arguments = command.split()
@@ -298,12 +312,15 @@ def test_a_new_experiment_runs(fresh, tmp_path):
     assert (tmp_path / "first_try.toml").read_text().startswith("# first_try: ")
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    (("controller", "pid"), "'pid' is the name of a model that comes with orch"),
-    (("controller", "my-first"), "'my-first' cannot be the name; use letters, digits and _"),
-    (("experiment", "a/b"), "'a/b' cannot be the name"),
-    (("vehicle", "mine"), "'vehicle' is not one of 'controller', 'experiment'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("controller", "pid"), "'pid' is the name of a model that comes with orch"),
+        (("controller", "my-first"), "'my-first' cannot be the name; use letters, digits and _"),
+        (("experiment", "a/b"), "'a/b' cannot be the name"),
+        (("vehicle", "mine"), "'vehicle' is not one of 'controller', 'experiment'"),
+    ],
+)
 def test_a_new_file_that_cannot_be_says_why(orch, tmp_path, arguments, words):
     answer = orch("new", *arguments)
     assert answer.code == 2
@@ -317,8 +334,18 @@ def test_a_new_file_that_cannot_be_says_why(orch, tmp_path, arguments, words):
 def test_an_fmu_shows_its_variables_units_and_defaults(orch, shipped):
     answer = orch("fmus", "bluerov2_allocation")
     assert answer.code == 0
-    for word in ("bluerov2_allocation: ", "inputs", "tau (X Y Z K M N)", "N, N.m", "outputs", "u (T1 T2 T3 T4 T5 T6)",
-                 "max_thrust", "calculated parameters", "T[6,6]", "canGetAndSetFMUstate"):  # fmt: skip
+    for word in (
+        "bluerov2_allocation: ",
+        "inputs",
+        "tau (X Y Z K M N)",
+        "N, N.m",
+        "outputs",
+        "u (T1 T2 T3 T4 T5 T6)",
+        "max_thrust",
+        "calculated parameters",
+        "T[6,6]",
+        "canGetAndSetFMUstate",
+    ):
         assert word in answer.out, word
 
 
@@ -327,8 +354,14 @@ def test_an_fmu_as_json_lists_every_variable(orch, probe):
     assert found["name"] == "probe"
     assert found["packaging"] == "native"
     variables = {variable["name"]: variable for variable in found["variables"]}
-    assert variables["u"] == {"name": "u", "type": "Real", "causality": "input", "unit": "m", "start": "1.5",
-                              "description": "a number in"}  # fmt: skip
+    assert variables["u"] == {
+        "name": "u",
+        "type": "Real",
+        "causality": "input",
+        "unit": "m",
+        "start": "1.5",
+        "description": "a number in",
+    }
     assert [name for name, variable in variables.items() if variable["type"] == "String"] == ["text", "words"]
 
 

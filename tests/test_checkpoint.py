@@ -21,8 +21,10 @@ ABLE3 = ABLE.replace("FMUstate", "FMUState")
 def description2(name):
     def real(reference, name, causality, start, variability="continuous"):
         given = f'start="{start}"' if start is not None else ""
-        return (f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
-                f'variability="{variability}"><Real {given}/></ScalarVariable>')  # fmt: skip
+        return (
+            f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
+            f'variability="{variability}"><Real {given}/></ScalarVariable>'
+        )
 
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{{name}}}">
@@ -104,8 +106,13 @@ def test_what_goes_on_from_a_checkpoint_is_the_rest_of_the_run_bit_for_bit(
 ):
     if loop == "python":
         monkeypatch.setenv("ORCH_LOOP", "python")
-    changes = {"master.algorithm": algorithm, "components.controller.step": 0.005, "record": {"every": 0.001},
-               "components.reference.step": 0.01, "master.stop_time": 0.06}  # fmt: skip
+    changes = {
+        "master.algorithm": algorithm,
+        "components.controller.step": 0.005,
+        "record": {"every": 0.001},
+        "components.reference.step": 0.01,
+        "master.stop_time": 0.06,
+    }
     path = write(merged(spiral, changes))
     whole, _, branch = halves(path, 0.023, tmp_path)  # within a step of the controller and one of the reference
     same_from(branch, whole, 0.023)
@@ -126,8 +133,12 @@ def test_python_fmus_go_on_bit_for_bit(shipped, spiral, write, tmp_path):
 def test_fmus_of_both_versions_go_on_within_the_process_and_in_one_of_their_own(
     pair, write, tmp_path, algorithm, signals, isolation
 ):
-    changes = {"master.algorithm": algorithm, "components.fast.isolation": isolation, "record": {"signals": signals},
-               "components.slow.isolation": isolation}  # fmt: skip
+    changes = {
+        "master.algorithm": algorithm,
+        "components.fast.isolation": isolation,
+        "record": {"signals": signals},
+        "components.slow.isolation": isolation,
+    }
     whole, _, branch = halves(write(merged(pair, changes)), 0.013, tmp_path)
     same_from(branch, whole, 0.013)
     assert branch["slow.steps"][-1] == 8  # it has counted on
@@ -156,8 +167,13 @@ def test_a_branch_is_saved_and_gone_on_from_with_its_changes(shipped, spiral, wr
     options = {"set": {"components.controller.parameters.K_p.z": 90.0}, "results": tmp_path / "results"}
     whole = orchestrator.run(write(spiral), checkpoint_at=[0.02], **options)
     first = whole.path.with_name(f"{whole.run_id}.at-0.02.checkpoint")
-    branch = orchestrator.run(start_from=first, swap={"controller": "mfsosmc"}, results=tmp_path / "results",
-                              set={"components.reference.step": 0.001}, checkpoint_at=[0.03])  # fmt: skip
+    branch = orchestrator.run(
+        start_from=first,
+        swap={"controller": "mfsosmc"},
+        results=tmp_path / "results",
+        set={"components.reference.step": 0.001},
+        checkpoint_at=[0.03],
+    )
     second = branch.path.with_name(f"{branch.run_id}.at-0.03.checkpoint")
     same_from(orchestrator.run(start_from=second, results=tmp_path / "results"), branch, 0.03)
 
@@ -189,8 +205,11 @@ def test_a_swapped_component_begins_at_the_checkpoint_with_the_values_of_the_oth
     assert slow["slow.began"][0] == 0.015
     within = orchestrator.run(write(pair), results=tmp_path, checkpoint_at=[0.013]).path
     with pytest.raises(orchestrator.ExperimentError, match=r"slow.step: 0.013 s is within a step of slow, of 0.005 s"):
-        orchestrator.run(start_from=within.with_name(f"{within.stem}.at-0.013.checkpoint"),
-                         swap={"slow": str(buckets[3])}, results=tmp_path)  # fmt: skip
+        orchestrator.run(
+            start_from=within.with_name(f"{within.stem}.at-0.013.checkpoint"),
+            swap={"slow": str(buckets[3])},
+            results=tmp_path,
+        )
 
 
 def test_another_controller_takes_over_from_a_checkpoint(orch, spiral, write, tmp_path):
@@ -247,8 +266,10 @@ def test_a_completed_run_is_repeated_only_where_its_checkpoint_is_missing(spiral
     assert orchestrator.run(path, results=results, checkpoint_at=[0.05]).path.stat().st_ino == inode
     again = orchestrator.run(path, output=tmp_path / "twice.h5", checkpoint_at=[0.05])
     twice = again.path.with_name("twice.at-0.05.checkpoint")
-    ids = [orchestrator.run(start_from=c, set={"master.stop_time": 0.06}, results=results).run_id
-           for c in (checkpoint, twice)]  # fmt: skip
+    ids = [
+        orchestrator.run(start_from=c, set={"master.stop_time": 0.06}, results=results).run_id
+        for c in (checkpoint, twice)
+    ]
     assert ids[0] == ids[1]  # the same state, whenever it was saved
     assert checkpoint.read_bytes() == content
     assert not list(results.rglob(".*"))
@@ -269,9 +290,15 @@ def test_all_components_that_cannot_be_saved_are_named_and_nothing_is_started(or
 
 @pytest.mark.parametrize(
     ("time", "words"),
-    [("0", "nothing to save before"), ("-1", "nothing to save before"), ("0.0105", "try 0.01 or 0.011"),
-     ("0.06", "is after master.stop_time = 0.05 s"), ("nan", "is no time"), ("inf", "is no time")],
-)  # fmt: skip
+    [
+        ("0", "nothing to save before"),
+        ("-1", "nothing to save before"),
+        ("0.0105", "try 0.01 or 0.011"),
+        ("0.06", "is after master.stop_time = 0.05 s"),
+        ("nan", "is no time"),
+        ("inf", "is no time"),
+    ],
+)
 def test_a_checkpoint_at_a_time_that_is_none_is_refused(orch, spiral, write, tmp_path, time, words):
     answer = orch("run", write(spiral), "--checkpoint-at", time)
     assert answer.code == 2
@@ -288,14 +315,16 @@ def checkpoint(shipped, spiral, write, tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "key", "words"),
-    [({"master.step": 0.002}, "master.step", "is 0.002, and was 0.001"),
-     ({"master.algorithm": "jacobi"}, "master.algorithm", "is jacobi, and was gauss-seidel"),
-     ({"master.stop_time": 0.03}, "master.stop_time", "already is at t = 0.03 s"),
-     ({"components.controller.step": 0.005}, "components.controller.step", "is 5 steps of the master, and was 1"),
-     ({"components.controller.fmu": "mfsosmc"}, "components.controller.fmu", "--swap controller=FMU begins it anew"),
-     ({"components.controller.parameters.K_p.x": 3.0}, "components.controller.parameters.K_p.x", "is 3.0, and was"),
-     ({"components.more.fmu": "ocean_current"}, "components.more", "is not in")],
-)  # fmt: skip
+    [
+        ({"master.step": 0.002}, "master.step", "is 0.002, and was 0.001"),
+        ({"master.algorithm": "jacobi"}, "master.algorithm", "is jacobi, and was gauss-seidel"),
+        ({"master.stop_time": 0.03}, "master.stop_time", "already is at t = 0.03 s"),
+        ({"components.controller.step": 0.005}, "components.controller.step", "is 5 steps of the master, and was 1"),
+        ({"components.controller.fmu": "mfsosmc"}, "components.controller.fmu", "--swap controller=FMU begins it anew"),
+        ({"components.controller.parameters.K_p.x": 3.0}, "components.controller.parameters.K_p.x", "is 3.0, and was"),
+        ({"components.more.fmu": "ocean_current"}, "components.more", "is not in"),
+    ],
+)
 def test_an_experiment_that_does_not_fit_its_checkpoint_is_refused(
     checkpoint, spiral, write, tmp_path, changes, key, words
 ):

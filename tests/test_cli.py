@@ -32,9 +32,16 @@ def test_version(orch):
     assert "loop in Python" in orch("--version", env={**os.environ, "ORCH_LOOP": "python"}).out
 
 
-@pytest.mark.parametrize("arguments", [
-    ("runn", "a.toml"), ("run",), ("run", "a.toml", "--nope"), ("run", "a.toml", "b.toml"), ("new", "controller"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("runn", "a.toml"),
+        ("run",),
+        ("run", "a.toml", "--nope"),
+        ("run", "a.toml", "b.toml"),
+        ("new", "controller"),
+    ],
+)
 def test_a_mistake_in_the_call_shows_the_usage(orch, arguments):
     answer = orch(*arguments)
     assert answer.code == 2
@@ -128,8 +135,9 @@ sys.argv = ["orch", "doctor"]
 from orchestrator.cli.main import main
 main()
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True,
-                          env={**os.environ, "PATH": ""})  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PATH": ""}
+    )
     lines = {line[9:].split("  ")[0]: line for line in done.stdout.splitlines()[:-1]}
     assert lines["casadi"].startswith("MISSING")
     assert lines["xarray"].startswith("-")

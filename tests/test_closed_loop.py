@@ -26,9 +26,16 @@ def assert_metrics(run, expected, tolerance):
 def test_the_spiral_under_pid_is_the_published_one(tmp_path):
     run = orch.run(EXPERIMENTS / "spiral_pid.toml", results=tmp_path)
     published = {
-        "rmse_x": 0.1788, "rmse_y": 0.2482, "rmse_z": 0.1628, "rmse_theta": 0.4911, "rmse_psi": 0.5159,
-        "rms_T1": 0.2078, "rms_T2": 0.1946, "rms_T3": 0.2010, "rms_T4": 0.2105,
-    }  # fmt: skip
+        "rmse_x": 0.1788,
+        "rmse_y": 0.2482,
+        "rmse_z": 0.1628,
+        "rmse_theta": 0.4911,
+        "rmse_psi": 0.5159,
+        "rms_T1": 0.2078,
+        "rms_T2": 0.1946,
+        "rms_T3": 0.2010,
+        "rms_T4": 0.2105,
+    }
     assert_metrics(run, published, 0.05)  # a reference simulation in continuous time meets them within 5 %
 
 

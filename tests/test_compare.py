@@ -24,8 +24,10 @@ METRICS_OF_WAVES = {
     "never": {"of": "settling_time", "signal": "one.ramp", "band": 0.01},
 }
 RUNS = {  # name: place, heading
-    "near": ([1.0, 3.0, -5.0], 0.2), "far": ([2.0, 3.0, -6.0], 0.1), "farther": ([-3.0, 3.00001, -7.0], 0.3),
-}  # fmt: skip
+    "near": ([1.0, 3.0, -5.0], 0.2),
+    "far": ([2.0, 3.0, -6.0], 0.1),
+    "farther": ([-3.0, 3.00001, -7.0], 0.3),
+}
 
 
 def table(place=(1.0, 3.0, -5.0), heading=0.2):
@@ -139,9 +141,11 @@ def test_runs_are_told_apart_by_parameters_models_and_experiments(compare, store
     paths = [run(tmp_path, *what)[1] for what in [(clock,), (slower,), (table(),), (table(heading=0.5),)]]
     labels = [e["label"] for e in compare(*paths, "--json").json["runs"]]
     assert labels == [
-        "clock, stop_time = 0.05 s", "clock, stop_time = 0.06 s",
-        "waves, stop_time = 0.05 s, one.heading = 0.2", "waves, stop_time = 0.05 s, one.heading = 0.5",
-    ]  # fmt: skip
+        "clock, stop_time = 0.05 s",
+        "clock, stop_time = 0.06 s",
+        "waves, stop_time = 0.05 s, one.heading = 0.2",
+        "waves, stop_time = 0.05 s, one.heading = 0.5",
+    ]
     _, other = run(tmp_path, clock, "other.toml")
     found = compare(paths[0], paths[2], other, "--json").json["runs"]
     assert [e["label"] for e in found] == ["waves, clock", "waves, waves", "other"]
@@ -218,8 +222,17 @@ def test_markdown_has_the_best_in_bold(compare, store):
 
 def test_csv_has_a_line_a_run_in_full_precision(compare, store):
     lines = list(csv.reader(io.StringIO(compare("near", "farther", "--format", "csv").out)))
-    assert lines[0] == ["run", "experiment", "what differs", "status", "far_x [m]", "far_y [cm]", "heading [deg]",
-                        "end_z [m]", "never [s]"]  # fmt: skip
+    assert lines[0] == [
+        "run",
+        "experiment",
+        "what differs",
+        "status",
+        "far_x [m]",
+        "far_y [cm]",
+        "heading [deg]",
+        "end_z [m]",
+        "never [s]",
+    ]
     assert len(lines) == 3
     assert lines[2][:2] == [store.ids["farther"], "waves"]
     assert lines[2][3:6] == ["completed", "3.0", repr(3.00001 * 100.0)]
@@ -243,11 +256,16 @@ def test_latex_is_for_siunitx_and_booktabs(compare, store):
 @pytest.mark.parametrize(
     ("unit", "macros"),
     [
-        ("m", r"\unit{\metre}"), ("m/s2", r"\unit{\metre\per\second\squared}"), ("N.m", r"\unit{\newton\metre}"),
-        ("(m)2.s", r"\unit{\metre\squared\second}"), ("%", r"\unit{\percent}"), ("", ""),
-        ("deg.s2", r"\unit{\degree\second\squared}"), ("furlong_x", r"\unit{\text{furlong\_x}}"),
+        ("m", r"\unit{\metre}"),
+        ("m/s2", r"\unit{\metre\per\second\squared}"),
+        ("N.m", r"\unit{\newton\metre}"),
+        ("(m)2.s", r"\unit{\metre\squared\second}"),
+        ("%", r"\unit{\percent}"),
+        ("", ""),
+        ("deg.s2", r"\unit{\degree\second\squared}"),
+        ("furlong_x", r"\unit{\text{furlong\_x}}"),
     ],
-)  # fmt: skip
+)
 def test_units_of_fmus_are_units_of_siunitx(unit, macros):
     assert latex.unit(unit) == macros
 

@@ -33,28 +33,39 @@ def fault(problems, tmp_path):
     return find
 
 
-@pytest.mark.parametrize(("old", "new", "words"), [
-    ('start="1.5"', 'start="abc"', "variable 'u' (line "), ('start="1.5"', 'start="1e400"', "start '1e400' is no Real"),
-    ('start="1.5"', 'start=""', "start '' is no Real"), ('start="1.5"', 'start="1_0"', "start '1_0' is no Real"),
-    ('start="3"', 'start="3.5"', "start '3.5' is no Integer"),
-    ('start="3"', 'start="2147483648"', "start '2147483648' is no Integer"),
-    ('start="true"', 'start="maybe"', "start 'maybe' is no Boolean"),
-    ('start="1.5"', 'start="1.5" min="low"', "min 'low' is no Real"),
-    ('start="1.5"', 'start="1.5" min="2" max="1"', "min 2.0 is over max 1.0"),
-    ('name="u"', 'name="y"', "the name 'y' is there twice"), ('name="u"', "", "has no name"),
-    ('causality="input"', 'causality="inputt"', "no causality 'inputt'; did you mean 'input'?"),
-    ('variability="continuous"', 'variability="steady"', "no variability 'steady'"),
-    ('valueReference="0"', 'valueReference="-1"', "valueReference '-1' is no number of 32 bits"),
-    ('valueReference="0"', 'valueReference="4294967296"', "is no number of 32 bits"),
-    ('valueReference="0"', 'valueReference="u"', "is no number of 32 bits"), ('valueReference="0"', "", "32 bits"),
-    ('index="2"', 'index="0"', "points at variable '0' of"), ('index="2"', 'index="99"', "points at variable '99' of"),
-    ('dependencies="', 'dependencies="-1 ', "points at variable '-1' of"), ('index="2"', "", "points at variable ''"),
-    ('factor="1000"', 'factor="0"', "unit 'km' has the factor '0'"), ('m="1"', 'm="one"', "has the m 'one'"),
-    ('value="7"', 'value="seven"', "has the value 'seven'"),
-    ('guid="{trap}"', "", "it has no guid"), ('modelIdentifier="trap"', "", "has no modelIdentifier"),
-    ('modelName="trap"', "", "it has no modelName"),
-    ("<ModelVariables>", "<ModelVariables/><ModelVariables>", "needs one"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('start="1.5"', 'start="abc"', "variable 'u' (line "),
+        ('start="1.5"', 'start="1e400"', "start '1e400' is no Real"),
+        ('start="1.5"', 'start=""', "start '' is no Real"),
+        ('start="1.5"', 'start="1_0"', "start '1_0' is no Real"),
+        ('start="3"', 'start="3.5"', "start '3.5' is no Integer"),
+        ('start="3"', 'start="2147483648"', "start '2147483648' is no Integer"),
+        ('start="true"', 'start="maybe"', "start 'maybe' is no Boolean"),
+        ('start="1.5"', 'start="1.5" min="low"', "min 'low' is no Real"),
+        ('start="1.5"', 'start="1.5" min="2" max="1"', "min 2.0 is over max 1.0"),
+        ('name="u"', 'name="y"', "the name 'y' is there twice"),
+        ('name="u"', "", "has no name"),
+        ('causality="input"', 'causality="inputt"', "no causality 'inputt'; did you mean 'input'?"),
+        ('variability="continuous"', 'variability="steady"', "no variability 'steady'"),
+        ('valueReference="0"', 'valueReference="-1"', "valueReference '-1' is no number of 32 bits"),
+        ('valueReference="0"', 'valueReference="4294967296"', "is no number of 32 bits"),
+        ('valueReference="0"', 'valueReference="u"', "is no number of 32 bits"),
+        ('valueReference="0"', "", "32 bits"),
+        ('index="2"', 'index="0"', "points at variable '0' of"),
+        ('index="2"', 'index="99"', "points at variable '99' of"),
+        ('dependencies="', 'dependencies="-1 ', "points at variable '-1' of"),
+        ('index="2"', "", "points at variable ''"),
+        ('factor="1000"', 'factor="0"', "unit 'km' has the factor '0'"),
+        ('m="1"', 'm="one"', "has the m 'one'"),
+        ('value="7"', 'value="seven"', "has the value 'seven'"),
+        ('guid="{trap}"', "", "it has no guid"),
+        ('modelIdentifier="trap"', "", "has no modelIdentifier"),
+        ('modelName="trap"', "", "it has no modelName"),
+        ("<ModelVariables>", "<ModelVariables/><ModelVariables>", "needs one"),
+    ],
+)
 def test_what_fmi_2_does_not_allow_is_told(fault, old, new, words):
     assert old in XML
     sentence = fault(XML.replace(old, new, 1))
@@ -75,28 +86,45 @@ def test_many_faults_are_told_at_once_and_not_all(fault):
     assert sentence.endswith(f"; and {len(PROBE_VARIABLES) - 8} more")
 
 
-@pytest.mark.parametrize(("old", "new", "words"), [
-    ('start="7"', 'start="256"', "start '256' is no UInt8"), ('start="7"', 'start="-1"', "start '-1' is no UInt8"),
-    ('start="1 2 3"', 'start="1 2 x"', "start '1 2 x' is no Float32"),
-    ('start="true false"', 'start="true no"', "is no Boolean"),
-    ('causality="parameter" start="7"/>\n  <String', 'causality="parameter" start="3"/>\n  <String', "no item of its"),
-    ("<UInt8", "<UInt9", "no type 'UInt9'; did you mean 'UInt8'?"),
-    ('<Output valueReference="1"', '<Output valueReference="9"', "the value reference '9', which no variable has"),
-    ('instantiationToken="{a}"', "", "it has no instantiationToken"),
-    *(('<CoSimulation ', f'<CoSimulation fixedInternalStepSize="{step}" ', f"fixedInternalStepSize is '{step}'")
-      for step in ("0", "-0.1", "quick", "INF", "NaN")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('start="7"', 'start="256"', "start '256' is no UInt8"),
+        ('start="7"', 'start="-1"', "start '-1' is no UInt8"),
+        ('start="1 2 3"', 'start="1 2 x"', "start '1 2 x' is no Float32"),
+        ('start="true false"', 'start="true no"', "is no Boolean"),
+        (
+            'causality="parameter" start="7"/>\n  <String',
+            'causality="parameter" start="3"/>\n  <String',
+            "no item of its",
+        ),
+        ("<UInt8", "<UInt9", "no type 'UInt9'; did you mean 'UInt8'?"),
+        ('<Output valueReference="1"', '<Output valueReference="9"', "the value reference '9', which no variable has"),
+        ('instantiationToken="{a}"', "", "it has no instantiationToken"),
+        *(
+            ("<CoSimulation ", f'<CoSimulation fixedInternalStepSize="{step}" ', f"fixedInternalStepSize is '{step}'")
+            for step in ("0", "-0.1", "quick", "INF", "NaN")
+        ),
+    ],
+)
 def test_what_fmi_3_does_not_allow_is_told(fault, old, new, words):
     assert old in XML3
     assert words in fault(XML3.replace(old, new, 1))
 
 
-@pytest.mark.parametrize("old_new", [
-    ('start="1.5"', 'start=" 1.5 "'), ('start="1.5"', 'start="-1.5E+3" min="-INF" max="INF"'),
-    ('start="1.5"', 'start="1.5" nominal="1e3"'), ('start="true"', 'start="1"'), ('start="3"', 'start="-2147483648"'),
-    ("<ModelVariables>", "<ModelVariables><!-- of the probe -->"),
-    ("<Outputs>", "<!-- out --><Outputs><!-- in -->"), ('guid="{trap}"', 'guid=""'),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "old_new",
+    [
+        ('start="1.5"', 'start=" 1.5 "'),
+        ('start="1.5"', 'start="-1.5E+3" min="-INF" max="INF"'),
+        ('start="1.5"', 'start="1.5" nominal="1e3"'),
+        ('start="true"', 'start="1"'),
+        ('start="3"', 'start="-2147483648"'),
+        ("<ModelVariables>", "<ModelVariables><!-- of the probe -->"),
+        ("<Outputs>", "<!-- out --><Outputs><!-- in -->"),
+        ('guid="{trap}"', 'guid=""'),
+    ],
+)
 def test_what_fmi_allows_is_read(resolve, tmp_path, old_new):
     assert old_new[0] in XML
     assert resolve(single(with_description(paper_fmu(tmp_path / "trap.fmu"), XML.replace(*old_new, 1))))

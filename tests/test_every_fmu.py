@@ -34,9 +34,11 @@ class Alone:
     def __init__(self, folder, description, name):
         self.variables = {v.name: v for v in description.modelVariables}
         self.slave = FMU2Slave(
-            guid=description.guid, unzipDirectory=str(folder),
-            modelIdentifier=description.coSimulation.modelIdentifier, instanceName=name,
-        )  # fmt: skip
+            guid=description.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName=name,
+        )
         self.slave.instantiate()
         self.running = False
 
@@ -517,9 +519,18 @@ SOCKETS = {  # by the folder of the model's source
     "disturbances": ([], ["v_c"]),
 }
 SHIPPED = {
-    "bluerov2_thesis", "bluerov2_allocation", "pid", "mfsosmc", "feedback_linearization", "lyapunov", "nstsmc",
-    "ftsosmc", "spiral_reference", "gripping_reference", "ocean_current",
-}  # fmt: skip
+    "bluerov2_thesis",
+    "bluerov2_allocation",
+    "pid",
+    "mfsosmc",
+    "feedback_linearization",
+    "lyapunov",
+    "nstsmc",
+    "ftsosmc",
+    "spiral_reference",
+    "gripping_reference",
+    "ocean_current",
+}
 
 
 def axes(signal):
@@ -550,20 +561,47 @@ def six(gain):
 THRUSTERS = {"gamma": math.pi / 4, "d_y": 0.115, "d_psi": 0.3536, "max_thrust": 40}
 DEFAULTS = {
     "bluerov2_thesis": {
-        "m": 10.5, "I_x": 0.16, "I_z": 0.16, "z_g": 0.02, "W": 103.005, "B": 104.967,
-        "X_udot": -5, "Y_vdot": -12.7, "Z_wdot": -14.57, "K_pdot": -0.12, "N_rdot": -0.12,
-        "X_u": -4.03, "Y_v": -6.22, "Z_w": -5.18, "K_p": -0.07, "N_r": -0.07,
-        "X_uu": -18.18, "Y_vv": -21.66, "Z_ww": -36.99, "K_pp": -1.55, "N_rr": -1.55,
-        "C_16": 0, "C_26": 5, "eta_0": [2, -1, 1, 0, 0, 0], "nu_0": [0] * 6, **THRUSTERS,
+        "m": 10.5,
+        "I_x": 0.16,
+        "I_z": 0.16,
+        "z_g": 0.02,
+        "W": 103.005,
+        "B": 104.967,
+        "X_udot": -5,
+        "Y_vdot": -12.7,
+        "Z_wdot": -14.57,
+        "K_pdot": -0.12,
+        "N_rdot": -0.12,
+        "X_u": -4.03,
+        "Y_v": -6.22,
+        "Z_w": -5.18,
+        "K_p": -0.07,
+        "N_r": -0.07,
+        "X_uu": -18.18,
+        "Y_vv": -21.66,
+        "Z_ww": -36.99,
+        "K_pp": -1.55,
+        "N_rr": -1.55,
+        "C_16": 0,
+        "C_26": 5,
+        "eta_0": [2, -1, 1, 0, 0, 0],
+        "nu_0": [0] * 6,
+        **THRUSTERS,
     },
     "bluerov2_allocation": THRUSTERS,
     "pid": {"K_p": six(140), "K_i": six(180), "K_d": six(120)},
     "feedback_linearization": {"K_p": six(140), "K_i": six(180), "K_d": six(120)},
     "mfsosmc": {
-        "K_d": six(800), "K_i": six(5), "kappa": 5, "alpha_0": 1.01, "alpha_c": 25, "delta": 0.001, "t_b": 5,
+        "K_d": six(800),
+        "K_i": six(5),
+        "kappa": 5,
+        "alpha_0": 1.01,
+        "alpha_c": 25,
+        "delta": 0.001,
+        "t_b": 5,
     },
     "ocean_current": {"velocity": [0, 0, 0]},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", sorted(DEFAULTS))
@@ -581,9 +619,13 @@ def test_the_thruster_matrix_is_calculated_from_the_parameters(shipped, alone, n
     fmu = alone(shipped[name]).enter({"gamma": 0.5, "d_y": 0.2, "d_psi": 0.3})
     c, s = math.cos(0.5), math.sin(0.5)
     T = [
-        [c, c, -c, -c, 0, 0], [s, -s, s, -s, 0, 0], [0, 0, 0, 0, -1, -1], [0, 0, 0, 0, 0.2, -0.2], [0] * 6,
+        [c, c, -c, -c, 0, 0],
+        [s, -s, s, -s, 0, 0],
+        [0, 0, 0, 0, -1, -1],
+        [0, 0, 0, 0, 0.2, -0.2],
+        [0] * 6,
         [0.3, -0.3, -0.3, 0.3, 0, 0],
-    ]  # fmt: skip
+    ]
     names = [f"T[{i},{j}]" for i in range(1, 7) for j in range(1, 7)]
     assert {fmu.variables[n].causality for n in names} == {"calculatedParameter"}
     np.testing.assert_allclose(fmu.get(names).reshape(6, 6), T, rtol=1e-15)

@@ -63,45 +63,48 @@ def test_the_problems_come_as_json_too(orch, write, spiral):
     assert set(FAULTY_KEYS) <= {problem["key"] for problem in answer.json["problems"]}
 
 
-@pytest.mark.parametrize(("changes", "key", "words"), [
-    ({"mastr": {"step": 1.0}}, "mastr", "did you mean 'master'"),
-    ({"title": 3}, "title", "3, not a text"),
-    ({"master.stoptime": 3}, "master.stoptime", "did you mean 'stop_time'"),
-    ({"master.stop_time": None}, "master.stop_time", "is missing"),
-    ({"master.step": None}, "master.step", "is missing"),
-    ({"master.step": 0}, "master.step", "is 0; give a positive number"),
-    ({"master.step": "1e-3"}, "master.step", "'1e-3'"),
-    ({"master.stop_time": True}, "master.stop_time", "is True"),
-    ({"master.stop_time": -1.0}, "master.stop_time", "positive"),
-    ({"master.stop_time": 0.0505}, "master.stop_time", "try 0.05 or 0.051"),
-    ({"master.algorithm": "jakobi"}, "master.algorithm", "did you mean 'jacobi'"),
-    ({"master.algorithm": ["jacobi"]}, "master.algorithm", "not a text"),
-    ({"master.seed": 1.5}, "master.seed", "1.5, not a whole number"),
-    ({"master.seed": 10**30}, "master.seed", "does not fit 64 bits"),
-    ({"master": 3}, "master", "is 3, not a table"),
-    ({"components": {}}, "components", "has none"),
-    ({"components": 3}, "components", "is 3, not a table"),
-    ({"components.vehicle": "bluerov2_thesis"}, "components.vehicle", "not a table"),
-    ({"components.my vehicle": {"fmu": "pid"}}, "components.my vehicle", "letters, digits and _"),
-    ({"components.time": {"fmu": "ocean_current"}}, "components.time", "another name"),
-    ({"components.current.fmu": None}, "components.current.fmu", "is missing"),
-    ({"components.current.fmu": ""}, "components.current.fmu", "is missing"),
-    ({"components.current.fmu": 7}, "components.current.fmu", "7, not a text"),
-    ({"components.current.parameter": {}}, "components.current.parameter", "did you mean 'parameters'"),
-    ({"components.current.parameters": [1]}, "components.current.parameters", "not a table"),
-    ({"components.current.start": "all"}, "components.current.start", '"fmu"'),
-    ({"components.current.step": 0.0025}, "components.current.step", "try 0.002 or 0.003"),
-    ({"connections.controller": {"eta": "vehicle.eta"}}, 'connections."controller"', "in quotes"),
-    ({"connections.controller.eta": 3}, 'connections."controller.eta"', "is 3"),
-    ({"record.evry": 0.01}, "record.evry", "did you mean 'every'"),
-    ({"record.every": 0.0015}, "record.every", "try 0.001 or 0.002"),
-    ({"record.every": 0.02}, "record.every", "does not divide master.stop_time = 0.05"),
-    ({"record.signals": "*"}, "record.signals", "list of globs"),
-    ({"record.signals": ["vehicle.etta"]}, "record.signals", "did you mean 'vehicle.eta'"),
-    ({"record.inputs": "yes"}, "record.inputs", "true or false"),
-    ({"metrics": [1]}, "metrics", "not a table"),
-    ({"metrics.rmse_x": "rmse"}, "metrics.rmse_x", "not a table"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "key", "words"),
+    [
+        ({"mastr": {"step": 1.0}}, "mastr", "did you mean 'master'"),
+        ({"title": 3}, "title", "3, not a text"),
+        ({"master.stoptime": 3}, "master.stoptime", "did you mean 'stop_time'"),
+        ({"master.stop_time": None}, "master.stop_time", "is missing"),
+        ({"master.step": None}, "master.step", "is missing"),
+        ({"master.step": 0}, "master.step", "is 0; give a positive number"),
+        ({"master.step": "1e-3"}, "master.step", "'1e-3'"),
+        ({"master.stop_time": True}, "master.stop_time", "is True"),
+        ({"master.stop_time": -1.0}, "master.stop_time", "positive"),
+        ({"master.stop_time": 0.0505}, "master.stop_time", "try 0.05 or 0.051"),
+        ({"master.algorithm": "jakobi"}, "master.algorithm", "did you mean 'jacobi'"),
+        ({"master.algorithm": ["jacobi"]}, "master.algorithm", "not a text"),
+        ({"master.seed": 1.5}, "master.seed", "1.5, not a whole number"),
+        ({"master.seed": 10**30}, "master.seed", "does not fit 64 bits"),
+        ({"master": 3}, "master", "is 3, not a table"),
+        ({"components": {}}, "components", "has none"),
+        ({"components": 3}, "components", "is 3, not a table"),
+        ({"components.vehicle": "bluerov2_thesis"}, "components.vehicle", "not a table"),
+        ({"components.my vehicle": {"fmu": "pid"}}, "components.my vehicle", "letters, digits and _"),
+        ({"components.time": {"fmu": "ocean_current"}}, "components.time", "another name"),
+        ({"components.current.fmu": None}, "components.current.fmu", "is missing"),
+        ({"components.current.fmu": ""}, "components.current.fmu", "is missing"),
+        ({"components.current.fmu": 7}, "components.current.fmu", "7, not a text"),
+        ({"components.current.parameter": {}}, "components.current.parameter", "did you mean 'parameters'"),
+        ({"components.current.parameters": [1]}, "components.current.parameters", "not a table"),
+        ({"components.current.start": "all"}, "components.current.start", '"fmu"'),
+        ({"components.current.step": 0.0025}, "components.current.step", "try 0.002 or 0.003"),
+        ({"connections.controller": {"eta": "vehicle.eta"}}, 'connections."controller"', "in quotes"),
+        ({"connections.controller.eta": 3}, 'connections."controller.eta"', "is 3"),
+        ({"record.evry": 0.01}, "record.evry", "did you mean 'every'"),
+        ({"record.every": 0.0015}, "record.every", "try 0.001 or 0.002"),
+        ({"record.every": 0.02}, "record.every", "does not divide master.stop_time = 0.05"),
+        ({"record.signals": "*"}, "record.signals", "list of globs"),
+        ({"record.signals": ["vehicle.etta"]}, "record.signals", "did you mean 'vehicle.eta'"),
+        ({"record.inputs": "yes"}, "record.inputs", "true or false"),
+        ({"metrics": [1]}, "metrics", "not a table"),
+        ({"metrics.rmse_x": "rmse"}, "metrics.rmse_x", "not a table"),
+    ],
+)
 def test_a_fault_names_its_key_its_value_and_the_way_out(problems, spiral, changes, key, words):
     found = problems(merged(spiral, changes))
     assert any(k == key and words in sentence for k, sentence in found), found
@@ -207,14 +210,17 @@ def test_python_takes_the_same_changes_as_values(problems, spiral):
     assert [key for key, _ in found] == keys
 
 
-@pytest.mark.parametrize(("option", "words"), [
-    ("components.controler.fmu=pid", "no component 'controler'; did you mean 'controller'?"),
-    ("mastr.step=1", "did you mean 'master'"),
-    ("master.step.x=1", "unknown key; did you mean 'step'"),
-    (".=1", "no dotted key"),
-    ("master.step", "write --set KEY=VALUE"),
-    ("=1", "write --set KEY=VALUE"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("components.controler.fmu=pid", "no component 'controler'; did you mean 'controller'?"),
+        ("mastr.step=1", "did you mean 'master'"),
+        ("master.step.x=1", "unknown key; did you mean 'step'"),
+        (".=1", "no dotted key"),
+        ("master.step", "write --set KEY=VALUE"),
+        ("=1", "write --set KEY=VALUE"),
+    ],
+)
 def test_a_set_that_makes_no_sense_says_why(orch, write, spiral, option, words):
     answer = orch("run", write(spiral), "--set", option)
     assert answer.code == 2
@@ -236,8 +242,15 @@ def test_set_and_swap_meet_a_file_without_components(problems, spiral, component
 
 def test_a_swap_drops_parameters_but_not_those_that_are_set_for_the_new_fmu(orch, write, spiral):
     table = merged(spiral, {"components.controller.parameters": {"K_p": {"z": 90.0}}})
-    answer = orch("check", write(table), "--swap", "controller=mfsosmc", "--json",
-                  "--set", "components.controller.parameters.t_b=2.5")  # fmt: skip
+    answer = orch(
+        "check",
+        write(table),
+        "--swap",
+        "controller=mfsosmc",
+        "--json",
+        "--set",
+        "components.controller.parameters.t_b=2.5",
+    )
     assert answer.code == 0, answer.err
     (controller,) = [c for c in answer.json["components"] if c["name"] == "controller"]
     assert controller["parameters"] == {"t_b": 2.5}

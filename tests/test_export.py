@@ -213,8 +213,12 @@ def test_foxglove_finds_signals_at_their_names(export, gripping):
 
 def test_foxglove_gets_poses_in_its_own_frames(export, gripping):
     found, schemas = messages(export(gripping, "mcap"))
-    expected = {"/vehicle1/pose": "foxglove.PoseInFrame", "/vehicle1/desired_pose": "foxglove.PoseInFrame",
-                "/vehicle1/track": "foxglove.PosesInFrame", "/tf": "foxglove.FrameTransform"}  # fmt: skip
+    expected = {
+        "/vehicle1/pose": "foxglove.PoseInFrame",
+        "/vehicle1/desired_pose": "foxglove.PoseInFrame",
+        "/vehicle1/track": "foxglove.PosesInFrame",
+        "/tf": "foxglove.FrameTransform",
+    }
     assert {topic: schemas[topic][0] for topic in expected} == expected
     eta = gripping["vehicle1.eta"][-1]
     time, last = found["/vehicle1/pose"][-1]

@@ -47,26 +47,32 @@ def check_failed(answer, record, name, t, words, rows):
 ROWS = [0.0, 0.01, 0.02]  # the trouble comes in the step that begins at 0.02
 
 
-@pytest.mark.parametrize(("kind", "words"), [
-    (1, "RuntimeError: the thruster is gone at 0.02, 100 %s sure %n"),  # printf would crash on this
-    (2, "output y is not finite: nan"),
-    (3, "output y is not finite: inf"),
-    (5, "do_step made it (2,)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (1, "RuntimeError: the thruster is gone at 0.02, 100 %s sure %n"),  # printf would crash on this
+        (2, "output y is not finite: nan"),
+        (3, "output y is not finite: inf"),
+        (5, "do_step made it (2,)"),
+    ],
+)
 def test_a_python_model_that_fails_is_told_in_its_own_words(run, models, kind, words):
     answer, record = run(single("trouble", kind=kind))
     check_failed(answer, record, "one", 0.02, words, ROWS)
     assert record["one.y"].tolist() == ROWS
 
 
-@pytest.mark.parametrize(("mode", "words"), [
-    (1, 'fmi2Error: "the probe lost its mind: 100 % sure"'),
-    (2, "output y is not finite: nan"),
-    (3, "output y is not finite: -inf"),
-    (5, 'fmi2Discard: "the step is too large"'),
-    (6, "fmi2Fatal, without a word"),
-    (11, "fmi2Error, without a word"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        (1, 'fmi2Error: "the probe lost its mind: 100 % sure"'),
+        (2, "output y is not finite: nan"),
+        (3, "output y is not finite: -inf"),
+        (5, 'fmi2Discard: "the step is too large"'),
+        (6, "fmi2Fatal, without a word"),
+        (11, "fmi2Error, without a word"),
+    ],
+)
 def test_a_c_fmu_that_fails_is_told_in_its_own_words(run, probe, mode, words):
     answer, record = run(single(probe, mode=mode))
     check_failed(answer, record, "one", 0.02, words, ROWS)
@@ -85,11 +91,14 @@ def test_the_time_of_a_failure_is_the_start_of_the_component_s_own_step(run, pro
     check_failed(answer, record, "one", 0.03, "the probe lost its mind", [0.0, 0.01, 0.02, 0.03])
 
 
-@pytest.mark.parametrize(("fmu", "trouble", "words"), [
-    ("trouble", {"kind": 6}, "no calm sea: déjà vu"),
-    ("probe", {"mode": 7}, 'fmi2Error: "the probe will not wake"'),
-    ("probe", {"mode": 8}, "output y is not finite: nan"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fmu", "trouble", "words"),
+    [
+        ("trouble", {"kind": 6}, "no calm sea: déjà vu"),
+        ("probe", {"mode": 7}, 'fmi2Error: "the probe will not wake"'),
+        ("probe", {"mode": 8}, "output y is not finite: nan"),
+    ],
+)
 def test_a_model_that_fails_in_initialization_leaves_a_record_without_rows(run, models, probe, fmu, trouble, words):
     answer, record = run(single(probe if fmu == "probe" else fmu, **trouble))
     check_failed(answer, record, "one", 0, words, [])
@@ -105,12 +114,15 @@ def test_a_model_that_cannot_be_instantiated_starts_nothing(orch, write, probe, 
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.parametrize(("fmu", "trouble", "words"), [
-    ("trouble", {"kind": 1}, "the thruster is gone"),
-    ("trouble", {"kind": 6}, "no calm sea"),
-    ("probe", {"mode": 1}, "the probe lost its mind"),
-    ("probe", {"mode": 7}, "the probe will not wake"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fmu", "trouble", "words"),
+    [
+        ("trouble", {"kind": 1}, "the thruster is gone"),
+        ("trouble", {"kind": 6}, "no calm sea"),
+        ("probe", {"mode": 1}, "the probe lost its mind"),
+        ("probe", {"mode": 7}, "the probe will not wake"),
+    ],
+)
 def test_one_failure_among_several_components_takes_nothing_else_down(run, models, probe, fmu, trouble, words):
     """A failed Python FMU may not be called or freed again, healthy ones must be freed: else the process crashes."""
     table = {
@@ -208,10 +220,16 @@ def start(shipped, write, tmp_path):
 
     def begin(table, *options, **environment):
         environment = {**os.environ, "TMPDIR": str(tmp_path / "tmp"), **environment}
-        processes.append(subprocess.Popen(
-            [ORCH, "run", str(write(table)), *options], cwd=tmp_path, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        ))  # fmt: skip
+        processes.append(
+            subprocess.Popen(
+                [ORCH, "run", str(write(table)), *options],
+                cwd=tmp_path,
+                env=environment,
+                text=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            )
+        )
         return processes[-1]
 
     yield begin
@@ -425,8 +443,11 @@ def test_a_full_file_system_ends_the_run_with_a_sentence(write, models, tmp_path
     script = 'mount -t tmpfs -o size=1m none small || exit 77; "$@"; code=$?; cp small/* .; exit $code'
     done = subprocess.run(
         ["unshare", "-r", "-m", "sh", "-c", script, "sh", ORCH, "run", path, "--output", "small/full.h5"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+    )
     if done.returncode == 77 or "unshare:" in done.stderr:
         pytest.skip("no mount namespaces here")
     assert (done.returncode, done.stdout) == (3, "")

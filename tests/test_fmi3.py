@@ -44,8 +44,10 @@ def description(about=""):
             start = f' start="{zero}"' * (causality == "input")
             lines.append(f'<{kind} name="{kind}_{end}" valueReference="{first + k}" causality="{causality}"{start}/>')
         start = ' start="1"' * (causality == "input")
-        lines.append(f'<Enumeration name="choice_{end}" valueReference="{first + 30}" declaredType="Choice" '
-                     f'causality="{causality}"{start}/>')  # fmt: skip
+        lines.append(
+            f'<Enumeration name="choice_{end}" valueReference="{first + 30}" declaredType="Choice" '
+            f'causality="{causality}"{start}/>'
+        )
         start = '<Start value="dry"/>' * (causality == "input")
         tail = f'causality="{causality}">{start}'
         lines.append(f'<String name="text_{end}" valueReference="{first + 31}" {tail}</String>')
@@ -73,8 +75,20 @@ def sponge(tmp_path_factory):
     platform, suffix = platform_folder(3)
     library = folder / f"sponge{suffix}"
     headers = Path(fmpy.__file__).parent / "c-code"
-    subprocess.run([COMPILER, "-shared", "-fPIC", "-O1", f"-I{headers}", "-o", library,
-                    Path(__file__).parent / "c" / "sponge.c", "-lm"], check=True)  # fmt: skip
+    subprocess.run(
+        [
+            COMPILER,
+            "-shared",
+            "-fPIC",
+            "-O1",
+            f"-I{headers}",
+            "-o",
+            library,
+            Path(__file__).parent / "c" / "sponge.c",
+            "-lm",
+        ],
+        check=True,
+    )
     path = folder / "sponge.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description())
@@ -101,9 +115,18 @@ def run(orch, write, tmp_path):
 
 
 EXTREMES = {
-    "Float64": -1.0e300, "Float32": 0.5, "Int8": -128, "UInt8": 255, "Int16": -32768, "UInt16": 65535,
-    "Int32": -(2**31), "UInt32": 2**32 - 1, "Int64": 2**63 - 1, "UInt64": 2**64 - 1, "Boolean": True,
-}  # fmt: skip
+    "Float64": -1.0e300,
+    "Float32": 0.5,
+    "Int8": -128,
+    "UInt8": 255,
+    "Int16": -32768,
+    "UInt16": 65535,
+    "Int32": -(2**31),
+    "UInt32": 2**32 - 1,
+    "Int64": 2**63 - 1,
+    "UInt64": 2**64 - 1,
+    "Boolean": True,
+}
 
 
 @pytest.mark.parametrize("loop", ["", "python"])
@@ -131,9 +154,13 @@ def test_an_array_is_one_dataset_with_scales_of_its_own(run, sponge, tmp_path):
     table = alone(sponge, n=3, A=[[1, 2, 3], [0, 1, 0], [0, 0, 2]])
     table["components"]["one"]["start"] = None
     table["components"]["one"]["start"] = {
-        "x": [1.0, 10.0, 100.0], "text_in": "", "bytes_in": "", "choice_in": 1, **{f"{k}_in": 0 for k in TYPES[:-1]},
+        "x": [1.0, 10.0, 100.0],
+        "text_in": "",
+        "bytes_in": "",
+        "choice_in": 1,
+        **{f"{k}_in": 0 for k in TYPES[:-1]},
         "Boolean_in": False,
-    }  # fmt: skip
+    }
     record = run(table)
     assert record["one.y"].tolist() == [[321.0, 10.0, 200.0]] * 7
     assert record["one.y[3]"].tolist() == [200.0] * 7
@@ -152,12 +179,14 @@ def test_an_array_is_one_dataset_with_scales_of_its_own(run, sponge, tmp_path):
 @pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
 def test_arrays_connect_whole_and_one_by_one_with_gain(run, sponge, algorithm, loop, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
-    table = merged(alone(sponge, A=[[2, 0], [0, 3]]), {
-        "master.algorithm": algorithm, "record": {"signals": ["*", "!*.text_out"]},
-    })  # fmt: skip
-    table["components"] |= {
-        "whole": {"fmu": str(sponge), "start": "fmu"}, "part": {"fmu": str(sponge), "start": "fmu"}
-    }  # fmt: skip
+    table = merged(
+        alone(sponge, A=[[2, 0], [0, 3]]),
+        {
+            "master.algorithm": algorithm,
+            "record": {"signals": ["*", "!*.text_out"]},
+        },
+    )
+    table["components"] |= {"whole": {"fmu": str(sponge), "start": "fmu"}, "part": {"fmu": str(sponge), "start": "fmu"}}
     table["connections"] = {
         "whole.x": "one.y",
         "part.x[2]": {"from": "one.y[2]", "gain": -0.5, "offset": 1.0},
@@ -177,8 +206,14 @@ def test_a_step_that_is_no_multiple_of_the_one_inside_is_told(orch, write, spong
     path = tmp_path / "sponge.fmu"
     shutil.copy(sponge, path)
     with_description(path, description(f'fixedInternalStepSize="{inner}"'))
-    told = [f"one: steps every 0.01 s, no multiple of the {float(inner):g} s in which its FMU steps inside "
-            "(fixedInternalStepSize): what it gives may be late"] if notes else []  # fmt: skip
+    told = (
+        [
+            f"one: steps every 0.01 s, no multiple of the {float(inner):g} s in which its FMU steps inside "
+            "(fixedInternalStepSize): what it gives may be late"
+        ]
+        if notes
+        else []
+    )
     assert orch("check", write(alone(path)), "--json").json["notes"] == told
     assert orch("run", write(alone(path)), "--json").json["warnings"] == told
 
@@ -186,8 +221,12 @@ def test_a_step_that_is_no_multiple_of_the_one_inside_is_told(orch, write, spong
 def test_a_number_too_wide_for_an_input_is_refused(orch, write, sponge):
     table = alone(sponge)
     table["components"]["two"] = {"fmu": str(sponge), "start": "fmu"}
-    table["connections"] = {"two.Int8_in": "one.UInt8_out", "two.Float64_in": "one.Int64_out",
-                            "two.Float32_in": "one.Int8_out", "two.Int16_in": "one.UInt8_out"}  # fmt: skip
+    table["connections"] = {
+        "two.Int8_in": "one.UInt8_out",
+        "two.Float64_in": "one.Int64_out",
+        "two.Float32_in": "one.Int8_out",
+        "two.Int16_in": "one.UInt8_out",
+    }
     answer = orch("check", write(table))
     assert answer.code == 2
     assert "Int8_in is Int8, UInt8_out is UInt8" in answer.err
@@ -206,11 +245,14 @@ def test_an_fmu_that_insists_on_event_mode_is_stepped_from_event_to_event(run, s
 
 
 @pytest.mark.parametrize("loop", ["", "python"])
-@pytest.mark.parametrize(("mode", "words"), [
-    (2, 'fmi3Error: "the sponge is full: 100 % wet"'),
-    (3, "ended a step early"),
-    (4, "output Float32_out is not finite: nan"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        (2, 'fmi3Error: "the sponge is full: 100 % wet"'),
+        (3, "ended a step early"),
+        (4, "output Float32_out is not finite: nan"),
+    ],
+)
 def test_an_fmu_that_fails_is_told_in_its_own_words(run, sponge, mode, words, loop, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
     record = run(alone(sponge, mode=mode), code=3)
@@ -244,8 +286,16 @@ def test_the_fmu_s_variables_are_shown(orch, sponge):
     assert shown["A[2,2]"]["start"] == "1"
 
 
-@pytest.mark.parametrize("command", [["plot", "last"], ["export", "last", "--format", "csv", "-o", "x.csv"],
-                                     ["show", "last"], ["compare", "last", "last"], ["rerun", "last", "--verify"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["plot", "last"],
+        ["export", "last", "--format", "csv", "-o", "x.csv"],
+        ["show", "last"],
+        ["compare", "last", "last"],
+        ["rerun", "last", "--verify"],
+    ],
+)
 def test_records_of_arrays_go_through_every_command(orch, write, sponge, command):
     table = alone(sponge)
     del table["components"]["one"]["start"]

@@ -22,8 +22,14 @@ def mutants(tmp_path, *arguments):
     (tmp_path / "work").mkdir()
     (tmp_path / "tmp").mkdir()
     command = [sys.executable, Path(__file__).with_name("mutants.py"), *map(str, arguments)]
-    done = subprocess.run(command, cwd=tmp_path / "work", capture_output=True, text=True, errors="replace",
-                          env={**os.environ, "TMPDIR": str(tmp_path / "tmp")})  # fmt: skip
+    done = subprocess.run(
+        command,
+        cwd=tmp_path / "work",
+        capture_output=True,
+        text=True,
+        errors="replace",
+        env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+    )
     assert done.returncode == 0, f"{done.stdout[-5000:]}\n{done.stderr[-5000:]}"
     return done.stdout
 
@@ -48,14 +54,19 @@ def test_spoiled_fmus_are_refused_with_a_sentence_or_read(shipped, tmp_path):
 DEEP = "a." * 500
 
 
-@pytest.mark.parametrize(("text", "words"), [
-    ("a = " + "[" * 5000, "cannot be read as TOML"), (f"a = {'9' * 5000}", "cannot be read as TOML"),
-    (f"a = 0x{'f' * 5000}", "a: is a whole number that does not fit 64 bits"),
-    (f"a = {'[' * 40}{']' * 40}", "a: is nested over 32 deep"), (f"{DEEP}a = 1", "is nested over 32 deep"),
-    ('title = "a\\u0000b"', "title: contains the character NUL"),
-    ('"a\\u0000b" = 1', "its name contains the character NUL"),
-    (f"[master]\nstep = 1{'0' * 400}", "master.step: is a whole number that does not fit 64 bits"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "[" * 5000, "cannot be read as TOML"),
+        (f"a = {'9' * 5000}", "cannot be read as TOML"),
+        (f"a = 0x{'f' * 5000}", "a: is a whole number that does not fit 64 bits"),
+        (f"a = {'[' * 40}{']' * 40}", "a: is nested over 32 deep"),
+        (f"{DEEP}a = 1", "is nested over 32 deep"),
+        ('title = "a\\u0000b"', "title: contains the character NUL"),
+        ('"a\\u0000b" = 1', "its name contains the character NUL"),
+        (f"[master]\nstep = 1{'0' * 400}", "master.step: is a whole number that does not fit 64 bits"),
+    ],
+)
 def test_what_no_experiment_can_hold_is_told(orch, tmp_path, text, words):
     (tmp_path / "mine.toml").write_text(text)
     for command in ("check", "run"):
@@ -82,9 +93,18 @@ def test_a_swap_drops_parameters_that_are_none(orch, write, spiral):
     assert answer.code == 0, answer.err
 
 
-@pytest.mark.parametrize("key", [
-    "master step", "master..step", ".master.step", "master.step.", 'master."step', "", "  ",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "key",
+    [
+        "master step",
+        "master..step",
+        ".master.step",
+        "master.step.",
+        'master."step',
+        "",
+        "  ",
+    ],
+)
 def test_an_option_that_is_no_key_sets_nothing(problems, spiral, key):
     (found,) = problems(spiral, set={key: 0.001})
     assert found == (f"--set {key}", "is no dotted key, such as master.stop_time")

@@ -89,9 +89,13 @@ def test_a_loop_without_a_solution_is_told_variable_by_variable(orch, write, cur
     assert "an algebraic loop through a.u <- b.y <- b.u <- a.y <- a.u; " in answer.err
 
 
-@pytest.mark.parametrize(("algorithm", "late"), [
-    ("gauss-seidel", [["a.u", "b.y"]]), ("jacobi", [["a.u", "b.y"], ["b.u", "a.y"]]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("algorithm", "late"),
+    [
+        ("gauss-seidel", [["a.u", "b.y"]]),
+        ("jacobi", [["a.u", "b.y"], ["b.u", "a.y"]]),
+    ],
+)
 def test_check_tells_of_feedthrough_cycles_and_which_values_are_late(orch, write, curve, algorithm, late):
     path = write(ring({}, {"gain": 0.5}, **{"master.algorithm": algorithm}))
     assert orch("check", path, "--json").json["cycles"] == [{"path": ["a.u", "b.y", "b.u", "a.y"], "delayed": late}]

@@ -65,10 +65,16 @@ def left(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("loop", ["", "python"])
-@pytest.mark.parametrize("changes", [
-    {}, {"master.algorithm": "jacobi"}, {"components.two.step": 0.04}, {"record.signals": ["*"]},
-    {"connections.two.text": "one.words", "record.signals": ["*"]},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"master.algorithm": "jacobi"},
+        {"components.two.step": 0.04},
+        {"record.signals": ["*"]},
+        {"connections.two.text": "one.words", "record.signals": ["*"]},
+    ],
+)
 def test_a_process_of_its_own_changes_no_bit(orch, write, probe, changes, loop, monkeypatch, tmp_path):
     monkeypatch.setenv("ORCH_LOOP", loop)
     records = []
@@ -171,7 +177,8 @@ def test_isolation_and_timeout_are_checked(orch, write, probe):
 
 
 def test_an_fmu_that_prints_does_not_spoil_the_answer(orch, write, models, tmp_path):
-    (tmp_path / "chatty.py").write_text('''
+    (tmp_path / "chatty.py").write_text(
+        '''
 from uuv import Output, PythonModel, Signal
 
 
@@ -183,7 +190,9 @@ class Chatty(PythonModel):
     def do_step(self, t, h):
         print("hello")
         self.y = t + h
-''', encoding="utf-8")  # fmt: skip
+''',
+        encoding="utf-8",
+    )
     assert orch("build", "chatty.py", env={**os.environ, "ORCH_BUILD": os.environ["ORCH_BUILD"]}).code == 0
     table = single("chatty")
     table["components"]["one"]["isolation"] = "process"

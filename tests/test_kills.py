@@ -65,7 +65,8 @@ def test_after_a_kill_between_any_two_writes_every_flushed_row_is_there(python, 
     metrics = {"size": {"of": "rms", "signal": "vehicle.eta.x"}}
     record = {"every": 0.001, "signals": ["vehicle.eta.*"]}
     write(merged(spiral, {"master.stop_time": 2.5, "record": record, "metrics": metrics}))
-    answer = python("""
+    answer = python(
+        """
 import orchestrator as orch
 from orchestrator.records.file import recorder
 from orchestrator.simulation import master
@@ -73,7 +74,9 @@ from orchestrator.simulation import master
 master.CHUNK_SECONDS = 1e9  # each chunk of steps is twice the last one
 recorder.FLUSH_SECONDS = 0.0  # after every chunk
 orch.run("mine.toml", output="run.h5")
-""", env={**os.environ, "LD_PRELOAD": str(library), "SNAPSHOTS": str(states)})
+""",
+        env={**os.environ, "LD_PRELOAD": str(library), "SNAPSHOTS": str(states)},
+    )
     assert answer.code == 0, answer.err
     with orchestrator.open_run(tmp_path / "run.h5") as run:
         assert run.status == "completed"
@@ -112,10 +115,12 @@ def test_eight_runs_at_once_into_one_store_are_eight_good_records(shipped, write
 
 
 def test_a_plot_follows_a_run_until_it_ends(shipped, write, models, tmp_path):
-    path = write({
-        "master": {"stop_time": 0.4, "step": 0.01},
-        "components": {"one": {"fmu": "moody", "parameters": {"pause": 0.1}, "start": "fmu"}},
-    })  # fmt: skip
+    path = write(
+        {
+            "master": {"stop_time": 0.4, "step": 0.01},
+            "components": {"one": {"fmu": "moody", "parameters": {"pause": 0.1}, "start": "fmu"}},
+        }
+    )
     with subprocess.Popen([ORCH, "run", path, "--quiet"], cwd=tmp_path) as process:
         record = poll(lambda: next(tmp_path.glob("results/mine/*.h5"), None), process)
         poll(lambda: has_rows(record), process)

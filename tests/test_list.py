@@ -19,46 +19,80 @@ from orchestrator.records.store.index import NAME
 from orchestrator.records.store.query import WhereError, parse
 
 RUN = {
-    "run_id": "a1", "experiment": "spiral", "status": "completed", "step": 0.001, "seed": None,
+    "run_id": "a1",
+    "experiment": "spiral",
+    "status": "completed",
+    "step": 0.001,
+    "seed": None,
     "metrics": {"rmse_x": 0.15, "far": None},
     "components": {"controller": {"fmu": "pid", "parameters": {"K_p.z": 90.0, "on": True}}},
-}  # fmt: skip
+}
 OTHER = {"run_id": "b2", "metrics": {"extra": 1.0}}
 
 
 # --- The language -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("source", [
-    "metrics.rmse_x < 0.2", "metrics.rmse_x >= .15", "step == 1e-3", "components.controller.fmu == 'pid'",
-    'components.controller.fmu == "pid" and metrics.rmse_x < 0.2', "components.controller.parameters.K_p.z > 89",
-    "status == 'failed' or status == 'completed'", "not status == 'failed'", "experiment like 'sp*'",
-    "components.controller.fmu in ['lyapunov', 'pid']", "components.controller.fmu not in ['lyapunov']",
-    "run_id not like 'b*'", "(step < 1 or step > 2) and not (step > 1)", "components.controller.parameters.on",
-    "components.controller.parameters.on == true", "metrics.rmse_x > -1 and 0 < metrics.rmse_x", "'pi' in 'pid'",
-    "status=='completed'and(step<1)",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "source",
+    [
+        "metrics.rmse_x < 0.2",
+        "metrics.rmse_x >= .15",
+        "step == 1e-3",
+        "components.controller.fmu == 'pid'",
+        'components.controller.fmu == "pid" and metrics.rmse_x < 0.2',
+        "components.controller.parameters.K_p.z > 89",
+        "status == 'failed' or status == 'completed'",
+        "not status == 'failed'",
+        "experiment like 'sp*'",
+        "components.controller.fmu in ['lyapunov', 'pid']",
+        "components.controller.fmu not in ['lyapunov']",
+        "run_id not like 'b*'",
+        "(step < 1 or step > 2) and not (step > 1)",
+        "components.controller.parameters.on",
+        "components.controller.parameters.on == true",
+        "metrics.rmse_x > -1 and 0 < metrics.rmse_x",
+        "'pi' in 'pid'",
+        "status=='completed'and(step<1)",
+    ],
+)
 def test_an_expression_chooses(source):
     assert parse(source).choose([RUN]) == [RUN]
 
 
-@pytest.mark.parametrize("source", [
-    "metrics.rmse_x > 0.2", "components.controller.fmu != 'pid'", "status == 'failed' or step > 1",
-    "metrics.extra > 0", "not metrics.extra > 0", "metrics.extra == 2 or not metrics.extra == 2", "metrics.extra",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "source",
+    [
+        "metrics.rmse_x > 0.2",
+        "components.controller.fmu != 'pid'",
+        "status == 'failed' or step > 1",
+        "metrics.extra > 0",
+        "not metrics.extra > 0",
+        "metrics.extra == 2 or not metrics.extra == 2",
+        "metrics.extra",
+    ],
+)
 def test_an_expression_does_not_choose_a_run_that_lacks_a_name_or_fails_it(source):
     assert RUN not in parse(source).choose([RUN, OTHER])
 
 
-@pytest.mark.parametrize(("source", "sentence", "column"), [
-    ("metrics.rmse_x <", "missing before the end", 16), ("(step < 1", ") is missing", 9),
-    ("step < 1 step", "is not expected here", 9), ("step ; 1", "';' belongs to no name", 5),
-    ("and step", "missing before and", 0), ("step not 3", "not is followed by in or like", 9),
-    ("metrics.rmse_y < 1", "no run has 'metrics.rmse_y'; did you mean 'metrics.rmse_x'?", 0),
-    ("run_id < 3", "compares a text with a number", 7), ("step in 3", "in is followed by a list", 5),
-    ("__import__('os')", "is not expected here", 10), ("step == 'a", "\"'\" belongs to no name", 8),
-    ("", "missing before the end", 0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("source", "sentence", "column"),
+    [
+        ("metrics.rmse_x <", "missing before the end", 16),
+        ("(step < 1", ") is missing", 9),
+        ("step < 1 step", "is not expected here", 9),
+        ("step ; 1", "';' belongs to no name", 5),
+        ("and step", "missing before and", 0),
+        ("step not 3", "not is followed by in or like", 9),
+        ("metrics.rmse_y < 1", "no run has 'metrics.rmse_y'; did you mean 'metrics.rmse_x'?", 0),
+        ("run_id < 3", "compares a text with a number", 7),
+        ("step in 3", "in is followed by a list", 5),
+        ("__import__('os')", "is not expected here", 10),
+        ("step == 'a", '"\'" belongs to no name', 8),
+        ("", "missing before the end", 0),
+    ],
+)
 def test_a_mistake_is_pointed_at(source, sentence, column):
     with pytest.raises(WhereError) as caught:
         parse(source).choose([RUN])
@@ -109,10 +143,15 @@ def test_filters_and_columns_and_order(orch, store):
     assert [float(row["metrics.far"]) for row in csv.DictReader(io.StringIO(text))] == pytest.approx([0.2, 0.1])
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    (("--status", "complete"), "did you mean 'completed'"), (("--since", "yesterday"), "is no time"),
-    (("--sort", "metrics.near"), "no run has it"), (("--columns", "metrics.fat"), "did you mean 'metrics.far'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--status", "complete"), "did you mean 'completed'"),
+        (("--since", "yesterday"), "is no time"),
+        (("--sort", "metrics.near"), "no run has it"),
+        (("--columns", "metrics.fat"), "did you mean 'metrics.far'"),
+    ],
+)
 def test_a_filter_that_means_nothing_is_told(orch, store, arguments, words):
     answer = orch("list", *arguments)
     assert (answer.code, words in answer.err) == (2, True), answer.err

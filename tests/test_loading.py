@@ -9,18 +9,23 @@ from conftest import PROBE, PROBE_VARIABLES, compile_fmu, merged, needs_compiler
 
 # What it does is in its name.
 TRAP = (
-    PROBE.replace("    p = calloc(1, sizeof *p);", """
+    PROBE.replace(
+        "    p = calloc(1, sizeof *p);",
+        """
     if (!strcmp(name, "falls")) *(volatile int *)0 = 1;
-    p = calloc(1, sizeof *p);""")
-    .replace("    p->state = INITIALIZING;", """
+    p = calloc(1, sizeof *p);""",
+    ).replace(
+        "    p->state = INITIALIZING;",
+        """
     p->state = INITIALIZING;
     if (!strcmp(p->name, "aborts")) abort();
     if (!strcmp(p->name, "leaves")) exit(3);
-    if (!strcmp(p->name, "sleeps")) for (;;) ;""")
+    if (!strcmp(p->name, "sleeps")) for (;;) ;""",
+    )
     + """
 __attribute__((constructor)) static void wake(void) { if (getenv("AWAKE")) fclose(fopen(getenv("AWAKE"), "w")); }
 """
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="session")
@@ -66,7 +71,7 @@ def test_what_kills_a_process_is_a_sentence_for_each_component(orch, write, trap
 def test_an_fmu_that_fails_to_initialize_says_why(orch, write, probe):
     answer = orch("check", write(single(probe, mode=7)), "--load")
     assert answer.code == 2
-    assert f"{probe} fails to initialize: fmi2Error: \"the probe will not wake\"" in answer.err
+    assert f'{probe} fails to initialize: fmi2Error: "the probe will not wake"' in answer.err
     answer = orch("check", write(single(probe, mode=8)), "--load")
     assert "output y is not finite: nan" in answer.err
 

@@ -65,10 +65,17 @@ def test_every_experiment_has_the_same_rows_in_both_loops(both, shipped, path, a
 def test_components_of_longer_periods_give_the_same_rows(both, shipped, spiral, write, stride, algorithm, packaging):
     if packaging == "native" and COMPILER is None:
         return
-    table = merged(spiral, {
-        "master.stop_time": 0.6, "master.algorithm": algorithm, "record.every": stride * 1e-3, "metrics": {},
-        "components.controller.step": 0.01, "components.reference.step": 0.003,
-    })  # fmt: skip
+    table = merged(
+        spiral,
+        {
+            "master.stop_time": 0.6,
+            "master.algorithm": algorithm,
+            "record.every": stride * 1e-3,
+            "metrics": {},
+            "components.controller.step": 0.01,
+            "components.reference.step": 0.003,
+        },
+    )
     run = both(write(table), packaging=packaging)
     assert run.status == "completed"
     assert len(run.time) == 600 // stride + 1
@@ -206,19 +213,34 @@ def test_the_sanitizers_find_nothing_in_the_compiled_loop(shipped, spiral, probe
     shutil.copytree(package, tmp_path / "orchestrator", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
     shutil.copytree(package.parent / "fmus", tmp_path / "fmus", ignore=shutil.ignore_patterns("build", "__pycache__"))
     subprocess.run(
-        [COMPILER, "-std=c11", *SANITIZE, "-D_POSIX_C_SOURCE=200809L", "-shared", "-fPIC",
-         f"-I{sysconfig.get_path('include')}", "-o", tmp_path / "orchestrator/simulation/_loop.abi3.so",
-         package / "simulation/_loop.c"], check=True)  # fmt: skip
+        [
+            COMPILER,
+            "-std=c11",
+            *SANITIZE,
+            "-D_POSIX_C_SOURCE=200809L",
+            "-shared",
+            "-fPIC",
+            f"-I{sysconfig.get_path('include')}",
+            "-o",
+            tmp_path / "orchestrator/simulation/_loop.abi3.so",
+            package / "simulation/_loop.c",
+        ],
+        check=True,
+    )
     libraries = [
         subprocess.check_output([COMPILER, f"-print-file-name={name}"], text=True).strip()
         for name in ("libasan.so", "libubsan.so")
     ]
     environment = {
-        **os.environ, "PYTHONPATH": str(tmp_path), "LD_PRELOAD": " ".join(libraries), "ORCH_LOOP": "compiled",
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "LD_PRELOAD": " ".join(libraries),
+        "ORCH_LOOP": "compiled",
         "ASAN_OPTIONS": "detect_leaks=0",
-    }  # fmt: skip
-    mixed = merged(spiral, {"components.controller.step": 0.01, "master.algorithm": "jacobi", "record.every": 0.005,
-                            "metrics": {}})  # fmt: skip
+    }
+    mixed = merged(
+        spiral, {"components.controller.step": 0.01, "master.algorithm": "jacobi", "record.every": 0.005, "metrics": {}}
+    )
     bad = {**single(probe, mode=2), "record": {"signals": ["!*.words", "!*.text"]}}
     for table, code in ((spiral, 0), (mixed, 0), (bad, 3)):
         path = write(table)

@@ -15,12 +15,33 @@ from station import Station, free_port, ftp_answer, named, unpacked
 
 ACCEPTED, UNSUPPORTED, FAILED = 0, 3, 4
 RATES = {  # Hz: ArduSub's
-    "HEARTBEAT": 1, "RAW_IMU": 2, "SCALED_IMU2": 2, "SCALED_PRESSURE": 2, "SCALED_PRESSURE2": 2, "SCALED_PRESSURE3": 2,
-    "SYS_STATUS": 2, "POWER_STATUS": 2, "MEMINFO": 2, "MISSION_CURRENT": 2, "NAV_CONTROLLER_OUTPUT": 2,
-    "GPS_RAW_INT": 2, "NAMED_VALUE_FLOAT": 18, "SERVO_OUTPUT_RAW": 2, "RC_CHANNELS": 2, "GLOBAL_POSITION_INT": 3,
-    "LOCAL_POSITION_NED": 3, "ATTITUDE": 10, "AHRS2": 10, "VFR_HUD": 10, "AHRS": 3, "SYSTEM_TIME": 3,
-    "BATTERY_STATUS": 3, "EKF_STATUS_REPORT": 3, "VIBRATION": 3, "HOME_POSITION": 1,
-}  # fmt: skip
+    "HEARTBEAT": 1,
+    "RAW_IMU": 2,
+    "SCALED_IMU2": 2,
+    "SCALED_PRESSURE": 2,
+    "SCALED_PRESSURE2": 2,
+    "SCALED_PRESSURE3": 2,
+    "SYS_STATUS": 2,
+    "POWER_STATUS": 2,
+    "MEMINFO": 2,
+    "MISSION_CURRENT": 2,
+    "NAV_CONTROLLER_OUTPUT": 2,
+    "GPS_RAW_INT": 2,
+    "NAMED_VALUE_FLOAT": 18,
+    "SERVO_OUTPUT_RAW": 2,
+    "RC_CHANNELS": 2,
+    "GLOBAL_POSITION_INT": 3,
+    "LOCAL_POSITION_NED": 3,
+    "ATTITUDE": 10,
+    "AHRS2": 10,
+    "VFR_HUD": 10,
+    "AHRS": 3,
+    "SYSTEM_TIME": 3,
+    "BATTERY_STATUS": 3,
+    "EKF_STATUS_REPORT": 3,
+    "VIBRATION": 3,
+    "HOME_POSITION": 1,
+}
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +50,22 @@ def bridge(shipped, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bridge")
     ports = SimpleNamespace(udpin=free_port(), tcp=free_port(socket.SOCK_STREAM), one=free_port(), folder=folder)
     command = [
-        ORCH, "run", str(EXPERIMENTS / "gripping_currents.toml"), "--realtime", "--quiet", "--output", "run.h5",
-        "--mavlink", f"udpin:127.0.0.1:{ports.udpin}", "--mavlink", f"tcpin:127.0.0.1:{ports.tcp}",
-        "--mavlink", f"2=udpin:127.0.0.1:{ports.one}", "--set", "master.stop_time=120",
-    ]  # fmt: skip
+        ORCH,
+        "run",
+        str(EXPERIMENTS / "gripping_currents.toml"),
+        "--realtime",
+        "--quiet",
+        "--output",
+        "run.h5",
+        "--mavlink",
+        f"udpin:127.0.0.1:{ports.udpin}",
+        "--mavlink",
+        f"tcpin:127.0.0.1:{ports.tcp}",
+        "--mavlink",
+        f"2=udpin:127.0.0.1:{ports.one}",
+        "--set",
+        "master.stop_time=120",
+    ]
     ports.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
     yield ports
     ports.process.send_signal(signal.SIGINT)
@@ -85,8 +118,17 @@ def test_every_field_says_the_same_of_the_vehicle(station):
     assert imu.zacc == pytest.approx(-1000, abs=150)
     assert depth.press_abs == pytest.approx(1013.25 + 100.52 * place.z, abs=30)
     names = {m.name for m in named("NAMED_VALUE_FLOAT")(messages, 1)}
-    assert names == {"CamTilt", "CamPan", "TetherTrn", "Lights1", "Lights2", "PilotGain", "InputHold", "RollPitch",
-                     "RFTarget"}  # fmt: skip
+    assert names == {
+        "CamTilt",
+        "CamPan",
+        "TetherTrn",
+        "Lights1",
+        "Lights2",
+        "PilotGain",
+        "InputHold",
+        "RollPitch",
+        "RFTarget",
+    }
     servo = named("SERVO_OUTPUT_RAW")(messages, 1)[-1]
     assert all(1100 <= getattr(servo, f"servo{n}_raw") <= 1900 for n in range(1, 7))
     assert all(getattr(servo, f"servo{n}_raw") == 0 for n in range(7, 17))
@@ -106,8 +148,14 @@ def assert_heading_between_attitudes(messages):
 
 
 def test_a_message_is_had_for_the_asking_and_an_unknown_one_is_refused(station):
-    for number, kind in ((148, "AUTOPILOT_VERSION"), (242, "HOME_POSITION"), (245, "EXTENDED_SYS_STATE"),
-                         (49, "GPS_GLOBAL_ORIGIN"), (31, "ATTITUDE_QUATERNION"), (30, "ATTITUDE")):  # fmt: skip
+    for number, kind in (
+        (148, "AUTOPILOT_VERSION"),
+        (242, "HOME_POSITION"),
+        (245, "EXTENDED_SYS_STATE"),
+        (49, "GPS_GLOBAL_ORIGIN"),
+        (31, "ATTITUDE_QUATERNION"),
+        (30, "ATTITUDE"),
+    ):
         assert station.command(512, number) == ACCEPTED
         station.expect(kind, seconds=0.5)
     for number in (435, 397, 395, 77777, -1, math.nan):
@@ -218,9 +266,11 @@ def test_missions_logs_pings_and_clocks_are_answered(station):
     for kind in (0, 1, 2):
         count = station.ask(mavlink.MAVLink_mission_request_list_message(1, 1, kind), "MISSION_COUNT")
         assert (count.count, count.mission_type, count.target_system, count.target_component) == (0, kind, 255, 190)
-    for message, result in ((mavlink.MAVLink_mission_clear_all_message(1, 1, 0), 0),
-                            (mavlink.MAVLink_mission_count_message(1, 1, 3, 0), 3),
-                            (mavlink.MAVLink_mission_request_int_message(1, 1, 0, 0), 13)):  # fmt: skip
+    for message, result in (
+        (mavlink.MAVLink_mission_clear_all_message(1, 1, 0), 0),
+        (mavlink.MAVLink_mission_count_message(1, 1, 3, 0), 3),
+        (mavlink.MAVLink_mission_request_int_message(1, 1, 0, 0), 13),
+    ):
         assert station.ask(message, "MISSION_ACK").type == result
     assert station.ask(mavlink.MAVLink_log_request_list_message(1, 1, 0, 65535), "LOG_ENTRY").num_logs == 0
     assert station.ask(mavlink.MAVLink_timesync_message(0, 4242), "TIMESYNC", lambda m: m.ts1 == 4242).tc1 > 0
@@ -271,8 +321,11 @@ def test_junk_and_a_flood_of_requests_do_not_stop_the_heartbeat(bridge, station,
     from flood import flood
 
     resident = flood(bridge.udpin, bridge.process.pid, seconds, station)
-    beats = [t for m, t in zip(station.messages, station.times, strict=True)
-             if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == 2]  # fmt: skip
+    beats = [
+        t
+        for m, t in zip(station.messages, station.times, strict=True)
+        if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == 2
+    ]
     gaps = [b - a for a, b in itertools.pairwise([*beats, time.monotonic()])]
     assert max(gaps) < 1.5
     assert len(named("ATTITUDE")(station.listen(1.0), 2)) >= 8

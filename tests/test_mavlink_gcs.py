@@ -70,8 +70,22 @@ sys.stdout.flush()
 
 
 def start(folder, port, stop_time, *options):
-    command = [ORCH, "run", GRIPPING, "--realtime", "--mavlink", f"udpout:127.0.0.1:{port}", "--output", "run.h5",
-               "--json", "--set", f"master.stop_time={stop_time}", "--set", "record.every=0.001", *options]  # fmt: skip
+    command = [
+        ORCH,
+        "run",
+        GRIPPING,
+        "--realtime",
+        "--mavlink",
+        f"udpout:127.0.0.1:{port}",
+        "--output",
+        "run.h5",
+        "--json",
+        "--set",
+        f"master.stop_time={stop_time}",
+        "--set",
+        "record.every=0.001",
+        *options,
+    ]
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
 
 
@@ -79,9 +93,13 @@ def start(folder, port, stop_time, *options):
 def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes_modes(shipped, tmp_path):
     run = start(tmp_path, port := free_port(), 40)
     proxy = subprocess.Popen(
-        [MAVPROXY, "--master", f"udpin:127.0.0.1:{port}"], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        [MAVPROXY, "--master", f"udpin:127.0.0.1:{port}"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     said = []
     reader = threading.Thread(target=lambda: said.extend(iter(lambda: proxy.stdout.read(1), "")), daemon=True)
     reader.start()
@@ -121,8 +139,13 @@ def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes
 def test_mavsdk_sees_two_submarines_where_the_record_has_them(shipped, tmp_path):
     run = start(tmp_path, port := free_port(), 20)
     (tmp_path / "sdk.py").write_text(MAVSDK_SCRIPT)
-    done = subprocess.run([sys.executable, "sdk.py", f"udpin://127.0.0.1:{port}"], cwd=tmp_path, capture_output=True,
-                          text=True, timeout=60)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "sdk.py", f"udpin://127.0.0.1:{port}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     found = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))[6:])
     assert json.loads(run.communicate(timeout=60)[0])["status"] == "completed"
     assert found.keys() == {"1", "2"}
@@ -155,8 +178,11 @@ def test_forty_seconds_lose_no_frame_keep_the_pace_and_push_the_right_way(shippe
     assert len(named("HEARTBEAT")(listener.messages, 2)) >= 40
 
     # What a message shows is up to 2 ms old when it is sent, and this process may be asleep when it comes.
-    late = [t - m.time_boot_ms / 1000 for m, t in zip(listener.messages, listener.times, strict=True)
-            if m.get_type() == "ATTITUDE" and m.get_srcSystem() == 1]  # fmt: skip
+    late = [
+        t - m.time_boot_ms / 1000
+        for m, t in zip(listener.messages, listener.times, strict=True)
+        if m.get_type() == "ATTITUDE" and m.get_srcSystem() == 1
+    ]
     assert abs(np.median(late[-50:]) - np.median(late[:50])) < 0.005
     with h5py.File(tmp_path / "run.h5") as record:
         # The mean, for a busy machine may wake it late at any one moment, the last one too.

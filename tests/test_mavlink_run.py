@@ -60,14 +60,17 @@ def test_the_record_is_the_same_to_the_bit_with_the_bridge_on_and_telemetry_agre
     assert listener.lost == 0
     rows = {round(t * 1000): k for k, t in enumerate(on["time"])}
     for system in (1, 2):
+
         def value(name, message, system=system):
             return on[f"vehicle{system}/{name}"][rows[message.time_boot_ms]]
 
         for m in named("LOCAL_POSITION_NED")(listener.messages, system):
             assert (m.x, m.y, m.z) == tuple(np.float32(value(f"eta.{axis}", m)) for axis in "xyz")
         for m in named("ATTITUDE")(listener.messages, system):
-            assert all(close_to(a, value(f"eta.{axis}", m), 1e-6)
-                       for a, axis in zip((m.roll, m.pitch, m.yaw), ("phi", "theta", "psi"), strict=True))
+            assert all(
+                close_to(a, value(f"eta.{axis}", m), 1e-6)
+                for a, axis in zip((m.roll, m.pitch, m.yaw), ("phi", "theta", "psi"), strict=True)
+            )
             assert (m.rollspeed, m.pitchspeed, m.yawspeed) == tuple(np.float32(value(f"nu.{a}", m)) for a in "pqr")
         assert len(named("ATTITUDE")(listener.messages, system)) >= 15
 
@@ -77,8 +80,11 @@ def test_the_record_is_the_same_to_the_bit_with_the_bridge_on_and_telemetry_agre
         pacing = json.loads(file.attrs["timing"])["pacing"]
     assert pacing["factor"] == 1.0
     assert 0 <= pacing["late_mean"] <= pacing["late_max"]
-    beats = [(t, m.time_boot_ms) for m, t in zip(listener.messages, listener.times, strict=True)
-             if m.get_type() == "ATTITUDE" and m.get_srcSystem() == 1]  # fmt: skip
+    beats = [
+        (t, m.time_boot_ms)
+        for m, t in zip(listener.messages, listener.times, strict=True)
+        if m.get_type() == "ATTITUDE" and m.get_srcSystem() == 1
+    ]
     drift = [t - ms / 1000 for t, ms in beats]
     assert np.median(np.abs(np.array(drift) - drift[0])) < 0.02
     listener.close()
@@ -86,8 +92,20 @@ def test_the_record_is_the_same_to_the_bit_with_the_bridge_on_and_telemetry_agre
 
 def test_a_run_that_records_almost_nothing_is_shown_all_the_same(run, tmp_path):
     listener = Station.udpin(port := free_port())
-    process = run("--set", "master.stop_time=1", "--set", 'record.signals=["current.*"]', "--set", "metrics={}",
-                  "--quiet", "--output", "run.h5", "--mavlink", f"udpout:127.0.0.1:{port}", "--realtime")  # fmt: skip
+    process = run(
+        "--set",
+        "master.stop_time=1",
+        "--set",
+        'record.signals=["current.*"]',
+        "--set",
+        "metrics={}",
+        "--quiet",
+        "--output",
+        "run.h5",
+        "--mavlink",
+        f"udpout:127.0.0.1:{port}",
+        "--realtime",
+    )
     moving = listener.expect("LOCAL_POSITION_NED", lambda m: m.vx != 0 and m.time_boot_ms > 200, seconds=20)
     assert moving.z == pytest.approx(1.0, abs=0.2)
     assert listener.expect("SERVO_OUTPUT_RAW").servo1_raw != 1500
@@ -152,9 +170,18 @@ def test_problems_of_the_table_are_found_at_once_with_what_was_meant(problems, s
 
 
 def test_system_ids_origin_and_pwm_come_from_the_experiment(run, spiral, write):
-    table = merged(spiral, {"mavlink": {"vehicles": {"vehicle": 7}, "origin": {"lat": -10, "lon": 20},
-                                        "pwm_map": "t200_16V", "rates": {"EXTRA1": 25}},
-                            "master.stop_time": 1.5})  # fmt: skip
+    table = merged(
+        spiral,
+        {
+            "mavlink": {
+                "vehicles": {"vehicle": 7},
+                "origin": {"lat": -10, "lon": 20},
+                "pwm_map": "t200_16V",
+                "rates": {"EXTRA1": 25},
+            },
+            "master.stop_time": 1.5,
+        },
+    )
     listener = Station.udpin(port := free_port())
     run("--mavlink", f"udpout:127.0.0.1:{port}", "--realtime", "--quiet", experiment=str(write(table)))
     servo = listener.expect("SERVO_OUTPUT_RAW", system=7, seconds=20)
@@ -176,8 +203,16 @@ def test_signed_frames_go_out_and_only_signed_ones_count(run, tmp_path):
     (tmp_path / "key").write_text("open sesame\n")
     key = hashlib.sha256(b"open sesame").digest()
     port = free_port()
-    run("--set", "master.stop_time=5", "--quiet", "--mavlink", f"udpin:127.0.0.1:{port}", "--mavlink-key", "key",
-        "--realtime")  # fmt: skip
+    run(
+        "--set",
+        "master.stop_time=5",
+        "--quiet",
+        "--mavlink",
+        f"udpin:127.0.0.1:{port}",
+        "--mavlink-key",
+        "key",
+        "--realtime",
+    )
     friend = _noticed(port, key=key)
     beat = friend.expect("HEARTBEAT")
     assert beat.get_signed()
@@ -244,8 +279,15 @@ def test_a_record_without_velocities_gives_no_telemetry_log_and_says_why(orch):
 def test_samples_are_at_whole_milliseconds_where_the_step_is_none(run, spiral, write, tmp_path):
     table = merged(spiral, {"master.step": 3e-4, "record.every": 3e-4, "master.stop_time": 0.9, "metrics": {}})
     listener = Station.udpin(port := free_port())
-    process = run("--mavlink", f"udpout:127.0.0.1:{port}", "--realtime", "--quiet", "--output", "run.h5",
-                  experiment=str(write(table)))  # fmt: skip
+    process = run(
+        "--mavlink",
+        f"udpout:127.0.0.1:{port}",
+        "--realtime",
+        "--quiet",
+        "--output",
+        "run.h5",
+        experiment=str(write(table)),
+    )
     while process.poll() is None:
         listener.receive(0.1)
     record, messages = datasets(tmp_path / "run.h5"), named("ATTITUDE")(listener.messages, 1)

@@ -167,8 +167,17 @@ def datasets(path):
 
 def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(orch, steered, write, tmp_path):
     port = free_port()
-    command = [ORCH, "run", str(write(steered)), "--realtime", "--quiet", "--output", "run.h5",
-               "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    command = [
+        ORCH,
+        "run",
+        str(write(steered)),
+        "--realtime",
+        "--quiet",
+        "--output",
+        "run.h5",
+        "--mavlink",
+        f"udpin:127.0.0.1:{port}",
+    ]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     station = Station.udpout(port)
     while not station.receive(0.1) and process.poll() is None:
@@ -195,8 +204,18 @@ def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(
 @pytest.mark.slow
 def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_path):
     port = free_port()
-    command = [ORCH, "run", str(write(merged(steered, {"master.stop_time": 9.0}))), "--realtime", "3", "--quiet",
-               "--output", "run.h5", "--mavlink", f"udpin:127.0.0.1:{port}"]  # fmt: skip
+    command = [
+        ORCH,
+        "run",
+        str(write(merged(steered, {"master.stop_time": 9.0}))),
+        "--realtime",
+        "3",
+        "--quiet",
+        "--output",
+        "run.h5",
+        "--mavlink",
+        f"udpin:127.0.0.1:{port}",
+    ]
     process = subprocess.Popen(command, cwd=tmp_path)
     station = Station.udpout(port)
     while not station.receive(0.1) and process.poll() is None:

@@ -73,10 +73,16 @@ def test_distance_is_euclidean():
     assert metrics.distance(T[:3], points, points + np.array([1.0, 2.0, -2.0])).tolist() == [3.0, 3.0, 3.0]
 
 
-@pytest.mark.parametrize(("heading", "other", "degrees"), [
-    (math.pi, 0.0, 180.0), (0.0, math.pi / 2, 270.0), (5 * math.pi, 0.0, 180.0), (-3 * math.pi, math.pi / 2, 90.0),
-    (0.1, 0.1, 0.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("heading", "other", "degrees"),
+    [
+        (math.pi, 0.0, 180.0),
+        (0.0, math.pi / 2, 270.0),
+        (5 * math.pi, 0.0, 180.0),
+        (-3 * math.pi, math.pi / 2, 90.0),
+        (0.1, 0.1, 0.0),
+    ],
+)
 def test_heading_difference_lies_between_0_and_360_degrees(heading, other, degrees):
     found = metrics.heading_difference(T[:1], np.array([[heading]]), np.array([[other]]))
     assert found[0] == pytest.approx(degrees, abs=1e-9)  # rounding of multiples of pi
@@ -114,8 +120,9 @@ SPECS = {
 def waves(models):
     table = single("waves", stop_time=0.1, step=1e-3)
     table["components"]["two"] = {
-        "fmu": "waves", "parameters": {"place": [3.0, 0.0, -4.0], "heading": math.pi / 2},
-    }  # fmt: skip
+        "fmu": "waves",
+        "parameters": {"place": [3.0, 0.0, -4.0], "heading": math.pi / 2},
+    }
     return table
 
 
@@ -145,29 +152,36 @@ def test_check_notes_a_window_that_no_sample_falls_into(orch, write, waves):
     assert answer.json["notes"] == ["no sample falls into the window of late: the run goes from 0 to 0.1 s"]
 
 
-@pytest.mark.parametrize(("spec", "key", "words"), [
-    ({"signal": "one.ramp"}, "of", "is missing; known: rmse"),
-    ({"of": "rsm", "signal": "one.ramp"}, "of", "no metric 'rsm'; did you mean 'rms'"),
-    ({"of": ["rms"], "signal": "one.ramp"}, "of", "not a text"),
-    ({"of": "rms"}, "signal", "is missing"),
-    ({"of": "rms", "signal": 3}, "signal", "is 3, not a text"),
-    ({"of": "rms", "signal": "one.rmap"}, "signal", "did you mean 'one.ramp'"),
-    ({"of": "rms", "signal": "one.eta"}, "signal", "no recorded signal 'one.eta'"),
-    ({"of": "rmse", "signal": "one.ramp"}, "reference", "is missing"),
-    ({"of": "rmse", "signal": "one.ramp", "reference": "two.sine.b"}, "reference", "is in 'rad', one.ramp in 'm'"),
-    ({"of": "rms", "signal": "one.ramp", "unit": "deg"}, "unit", "'m' does not convert to 'deg'"),
-    ({"of": "rms", "signal": "one.ramp", "unit": ["mm"]}, "unit", "not a text"),
-    ({"of": "rms", "signal": "one.ramp", "affter": 1.0}, "affter", "did you mean 'after'"),
-    ({"of": "rms", "signal": "one.ramp", "after": "1"}, "after", "'1', not a number"),
-    ({"of": "rms", "signal": "one.ramp", "after": 2.0, "before": 1.0}, "after", "is empty"),
-    ({"of": "settling_time", "signal": "one.ramp"}, "band", "is missing"),
-    ({"of": "settling_time", "signal": "one.ramp", "band": -0.1}, "band", "positive"),
-    ({"of": "settling_time", "signal": "one.ramp", "band": True}, "band", "not a number"),
-    ({"of": "distance", "signal": "one.eta", "reference": "two.sine"}, "reference", "no recorded signal 'two.sine'"),
-    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "median"}, "stat", "mean, min, max"),
-    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": ["min"]}, "stat", "not a text"),
-    ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "unit": "mm"}, "unit", "takes no 'unit'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("spec", "key", "words"),
+    [
+        ({"signal": "one.ramp"}, "of", "is missing; known: rmse"),
+        ({"of": "rsm", "signal": "one.ramp"}, "of", "no metric 'rsm'; did you mean 'rms'"),
+        ({"of": ["rms"], "signal": "one.ramp"}, "of", "not a text"),
+        ({"of": "rms"}, "signal", "is missing"),
+        ({"of": "rms", "signal": 3}, "signal", "is 3, not a text"),
+        ({"of": "rms", "signal": "one.rmap"}, "signal", "did you mean 'one.ramp'"),
+        ({"of": "rms", "signal": "one.eta"}, "signal", "no recorded signal 'one.eta'"),
+        ({"of": "rmse", "signal": "one.ramp"}, "reference", "is missing"),
+        ({"of": "rmse", "signal": "one.ramp", "reference": "two.sine.b"}, "reference", "is in 'rad', one.ramp in 'm'"),
+        ({"of": "rms", "signal": "one.ramp", "unit": "deg"}, "unit", "'m' does not convert to 'deg'"),
+        ({"of": "rms", "signal": "one.ramp", "unit": ["mm"]}, "unit", "not a text"),
+        ({"of": "rms", "signal": "one.ramp", "affter": 1.0}, "affter", "did you mean 'after'"),
+        ({"of": "rms", "signal": "one.ramp", "after": "1"}, "after", "'1', not a number"),
+        ({"of": "rms", "signal": "one.ramp", "after": 2.0, "before": 1.0}, "after", "is empty"),
+        ({"of": "settling_time", "signal": "one.ramp"}, "band", "is missing"),
+        ({"of": "settling_time", "signal": "one.ramp", "band": -0.1}, "band", "positive"),
+        ({"of": "settling_time", "signal": "one.ramp", "band": True}, "band", "not a number"),
+        (
+            {"of": "distance", "signal": "one.eta", "reference": "two.sine"},
+            "reference",
+            "no recorded signal 'two.sine'",
+        ),
+        ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "median"}, "stat", "mean, min, max"),
+        ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": ["min"]}, "stat", "not a text"),
+        ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "unit": "mm"}, "unit", "takes no 'unit'"),
+    ],
+)
 def test_a_metric_that_makes_no_sense_says_why(problems, waves, spec, key, words):
     found = problems(merged(waves, {"metrics": {"it": spec}}))
     assert any(k == f"metrics.it.{key}" and words in sentence for k, sentence in found), found

@@ -35,12 +35,14 @@ def number(expression):
 
 def defaults(*declarations):
     """The declared start values, as attributes."""
-    return SimpleNamespace(**{
-        name: value.start[0]
-        for declaration in declarations
-        for name, value in vars(declaration).items()
-        if getattr(value, "causality", "") == "parameter"
-    })  # fmt: skip
+    return SimpleNamespace(
+        **{
+            name: value.start[0]
+            for declaration in declarations
+            for name, value in vars(declaration).items()
+            if getattr(value, "causality", "") == "parameter"
+        }
+    )
 
 
 def model_class(name):
@@ -200,8 +202,10 @@ def test_coriolis_is_linear_in_the_velocity():
     a, b = VELOCITIES[:2]
     C = number(coriolis(BODY, 2 * a - 3 * b))
     np.testing.assert_allclose(
-        C, 2 * number(coriolis(BODY, a)) - 3 * number(coriolis(BODY, b)), atol=1000 * ROUNDING  # entries up to 250
-    )  # fmt: skip
+        C,
+        2 * number(coriolis(BODY, a)) - 3 * number(coriolis(BODY, b)),
+        atol=1000 * ROUNDING,  # entries up to 250
+    )
 
 
 @pytest.mark.parametrize("nu", VELOCITIES)
@@ -309,9 +313,12 @@ def test_halving_the_step_divides_the_vehicles_error_by_sixteen():
     def end(steps):
         # A current and a time in which no relative velocity changes its sign: |nu_r| is smooth only away from zero.
         vehicle = Stepped(
-            "bluerov2_thesis", v_c=(1, -1, 1), u=(0.3, 0.1, -0.2, 0.4, 0.5, -0.5),
-            eta_0=(0, 0, 0, 0.2, 0.1, 0.3), nu_0=(0.1, 0.2, -0.1, 0.3, 0, 0.5),
-        )  # fmt: skip
+            "bluerov2_thesis",
+            v_c=(1, -1, 1),
+            u=(0.3, 0.1, -0.2, 0.4, 0.5, -0.5),
+            eta_0=(0, 0, 0, 0.2, 0.1, 0.3),
+            nu_0=(0.1, 0.2, -0.1, 0.3, 0, 0.5),
+        )
         for k in range(steps):
             vehicle.step(k * 0.1 / steps, 0.1 / steps)
         return np.r_[vehicle["eta"], vehicle["nu"]]

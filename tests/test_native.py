@@ -86,9 +86,13 @@ class Calls:
     def derivative(self, unknowns, known):
         changes = (ctypes.c_double * len(unknowns))()
         self.fmi2GetDirectionalDerivative(
-            self.references(unknowns), ctypes.c_size_t(len(unknowns)), self.references([known]), ctypes.c_size_t(1),
-            ctypes.byref(ctypes.c_double(1.0)), changes,
-        )  # fmt: skip
+            self.references(unknowns),
+            ctypes.c_size_t(len(unknowns)),
+            self.references([known]),
+            ctypes.c_size_t(1),
+            ctypes.byref(ctypes.c_double(1.0)),
+            changes,
+        )
         return np.array(changes)
 
 

@@ -49,9 +49,14 @@ def cross(tmp_path):
     def run(name, *targets):
         options = [option for target in targets for option in ("--target", target)]
         done = subprocess.run(
-            [ORCH, "build", name, *options], cwd=tmp_path, env={**os.environ, "ORCH_BUILD": str(tmp_path / "build")},
-            capture_output=True, text=True, timeout=600, check=False,
-        )  # fmt: skip
+            [ORCH, "build", name, *options],
+            cwd=tmp_path,
+            env={**os.environ, "ORCH_BUILD": str(tmp_path / "build")},
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -304,10 +309,13 @@ def test_one_fmu_is_built_for_several_platforms(cross, tmp_path):
     assert found == [f"binaries/linux64/{MODEL}.so", f"binaries/win64/{MODEL}.dll"]
 
 
-@pytest.mark.parametrize(("targets", "words"), [
-    (["x86_64-widows"], "no target 'x86_64-widows'; did you mean 'x86_64-windows'?"),
-    (["x86_64-linux", "aarch64-linux"], "x86_64-linux and aarch64-linux share a folder of FMI 2.0's"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("targets", "words"),
+    [
+        (["x86_64-widows"], "no target 'x86_64-widows'; did you mean 'x86_64-windows'?"),
+        (["x86_64-linux", "aarch64-linux"], "x86_64-linux and aarch64-linux share a folder of FMI 2.0's"),
+    ],
+)
 def test_a_target_that_cannot_be_says_why(fresh, tmp_path, targets, words):
     answer = fresh("build", MODEL, *(option for target in targets for option in ("--target", target)))
     assert (answer.code, answer.out) == (2, "")

@@ -262,8 +262,9 @@ def test_sanitizers_find_nothing_in_any_call_or_misuse(sources, name):
 
 @pytest.mark.parametrize("name", [FAST, "ocean_current", "gripping_reference"])  # the others lack inputs or states
 def test_the_wrapper_compiles_without_a_warning(sources, name):
-    done = compiled(sources(name), "-Wall", "-Wextra", "-Wshadow", "-pedantic", "-O2", "-shared", "-fPIC", "-o", "m",
-                    "fmi2.c")  # fmt: skip
+    done = compiled(
+        sources(name), "-Wall", "-Wextra", "-Wshadow", "-pedantic", "-O2", "-shared", "-fPIC", "-o", "m", "fmi2.c"
+    )
     # CasADi's code has parameters that it does not use.
     warnings = [line for line in done.stderr.splitlines() if "warning: " in line and "equations.h" not in line]
     assert (done.returncode, warnings) == (0, [])

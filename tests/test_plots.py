@@ -16,8 +16,18 @@ from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.figure import draw
 
 SVG = "{http://www.w3.org/2000/svg}"
-ONE = ["$x$ [m]", "$y$ [m]", "$z$ [m]", r"$\phi$ [deg]", r"$\theta$ [deg]", r"$\psi$ [deg]",
-       "$x - x_d$ [m]", "$y - y_d$ [m]", "$z - z_d$ [m]", *(f"$T_{{{i}}}$ [-]" for i in range(1, 7))]  # fmt: skip
+ONE = [
+    "$x$ [m]",
+    "$y$ [m]",
+    "$z$ [m]",
+    r"$\phi$ [deg]",
+    r"$\theta$ [deg]",
+    r"$\psi$ [deg]",
+    "$x - x_d$ [m]",
+    "$y - y_d$ [m]",
+    "$z - z_d$ [m]",
+    *(f"$T_{{{i}}}$ [-]" for i in range(1, 7)),
+]
 TWO = ["distance [m]", r"$\psi_2 - \psi_1$ [deg]", "$z_2 - z_1$ [m]"]
 CHART = ["East $y$ [m]", "North $x$ [m]"]
 

@@ -27,15 +27,43 @@ import orchestrator
 from orchestrator.records.store.folder import Store
 
 ATTRIBUTES = {
-    "format": str, "format_version": int, "run_id": str, "title": str, "status": str, "error": str, "created": str,
-    "wall_time": float, "real_time_factor": float, "algorithm": str, "step": float, "experiment_toml": str,
-    "experiment_resolved": dict, "versions": dict, "git_commit": str, "Conventions": str, "metrics": dict,
-    "warnings": list, "timing": dict, "command": list, "platform": str, "seed": int, "pid": int, "hostname": str,
+    "format": str,
+    "format_version": int,
+    "run_id": str,
+    "title": str,
+    "status": str,
+    "error": str,
+    "created": str,
+    "wall_time": float,
+    "real_time_factor": float,
+    "algorithm": str,
+    "step": float,
+    "experiment_toml": str,
+    "experiment_resolved": dict,
+    "versions": dict,
+    "git_commit": str,
+    "Conventions": str,
+    "metrics": dict,
+    "warnings": list,
+    "timing": dict,
+    "command": list,
+    "platform": str,
+    "seed": int,
+    "pid": int,
+    "hostname": str,
     "digest": str,
-}  # fmt: skip
+}
 JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command")
-TYPES = {"y": np.float64, "u": np.float64, "hidden": np.float64, "steps": np.int32, "count": np.int32,
-         "level": np.int32, "odd": np.int8, "flag": np.int8}  # fmt: skip
+TYPES = {
+    "y": np.float64,
+    "u": np.float64,
+    "hidden": np.float64,
+    "steps": np.int32,
+    "count": np.int32,
+    "level": np.int32,
+    "odd": np.int8,
+    "flag": np.int8,
+}
 
 
 @pytest.fixture

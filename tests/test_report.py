@@ -23,9 +23,16 @@ pytest.importorskip("plotly")
 playwright = pytest.importorskip("playwright.sync_api")
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--use-angle=swiftshader",
-         "--enable-unsafe-swiftshader"]  # fmt: skip
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 SINGLE = 2e-6  # of a few metres or radians in float32
 DEADLINE = 60_000  # ms, for what takes two seconds on an idle machine
 MOST = 8_000_000  # bytes of the page of two vehicles over 40 s
@@ -355,10 +362,17 @@ def test_text_of_a_record_is_never_code(opened, written, changed, spiral_run, tm
         resolved["components"][0]["fmu"] = evil
         resolved["metrics"] = {evil: {"of": "final", "signal": "vehicle.eta.x"}}
         file.attrs.update(
-            run_id=evil, title=evil, experiment_toml=evil, error=evil, status="failed", failed_at=1.0,
-            command=json.dumps([evil]), warnings=json.dumps([evil]), metrics=json.dumps({evil: 1.0}),
+            run_id=evil,
+            title=evil,
+            experiment_toml=evil,
+            error=evil,
+            status="failed",
+            failed_at=1.0,
+            command=json.dumps([evil]),
+            warnings=json.dumps([evil]),
+            metrics=json.dumps({evil: 1.0}),
             experiment_resolved=json.dumps(resolved),
-        )  # fmt: skip
+        )
 
     page = opened(report.write([changed(spiral_run, poison)], tmp_path / "evil.html"))
     assert page.evaluate("window.hacked") is None
@@ -489,9 +503,7 @@ def test_there_is_no_object_where_no_metric_asks_for_a_distance_over_a_window(ch
 
 def test_the_diagram_has_every_component_and_every_vector_in_order(gripping_run):
     svg = diagram(gripping_run.attributes["experiment_resolved"], ["vehicle1", "vehicle2"])
-    places = {
-        name: float(x) for name, x in re.findall(r"<title>(\w+): .*?</title><rect x=\"([\d.]+)\"", svg)
-    }  # fmt: skip
+    places = {name: float(x) for name, x in re.findall(r"<title>(\w+): .*?</title><rect x=\"([\d.]+)\"", svg)}
     assert len(places) == 9
     chain = ["reference1", "controller1", "allocation1", "vehicle1"]
     assert [places[name] for name in chain] == sorted({places[name] for name in chain})

@@ -116,8 +116,13 @@ def test_numbers_as_published_are_all_met_and_means_are_computed_from_them():
     assert len(verdicts) == 180
     assert all(v.met in (True, None) for v in verdicts)
     assert thesis_tables.counts(verdicts)["MFSOSMC"] == {
-        "cells": 72, "within 1%": 72, "within 5%": 72, "within 20%": 72, "gated": 72, "outside": 0,
-    }  # fmt: skip
+        "cells": 72,
+        "within 1%": 72,
+        "within 5%": 72,
+        "within 20%": 72,
+        "gated": 72,
+        "outside": 0,
+    }
     mean = next(v for v in verdicts if v.cell.quantity == "mean" and v.cell.case == "thesis_spiral_pid")
     assert mean.ours == pytest.approx((0.1788 + 0.2482 + 0.1628) / 3)
 
@@ -254,9 +259,11 @@ def test_the_body_velocity_is_the_inverse_of_the_jacobian():
     nu, R = body_velocity(eta, eta_dot), rotation(eta)
     for k, (phi, theta) in enumerate(eta[:, 3:5]):
         assert R[k] @ R[k].T == pytest.approx(np.eye(3), abs=1e-15)
-        T = [[1, np.sin(phi) * np.tan(theta), np.cos(phi) * np.tan(theta)],
-             [0, np.cos(phi), -np.sin(phi)],
-             [0, np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)]]  # fmt: skip
+        T = [
+            [1, np.sin(phi) * np.tan(theta), np.cos(phi) * np.tan(theta)],
+            [0, np.cos(phi), -np.sin(phi)],
+            [0, np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)],
+        ]
         back = np.concatenate([R[k] @ nu[k, :3], T @ nu[k, 3:]])
         assert back == pytest.approx(eta_dot[k], abs=1e-14)  # a few roundings
     assert body_velocity(np.zeros((1, 6)), eta_dot[:1]) == pytest.approx(eta_dot[:1])
@@ -269,8 +276,9 @@ def pairs(**changed):
     """Two vehicles 0.5 m and 180 degrees apart in every gripping case.  changed: {controller: offset of vehicle 2}."""
     return {
         name: (still(), still(np.add((0, 0.5, 0, 0, 0, 0), changed.get(case.controller, 0.0)), psi_d=180.0))
-        for name, case in CASES.items() if case.task == "gripping"
-    }  # fmt: skip
+        for name, case in CASES.items()
+        if case.task == "gripping"
+    }
 
 
 @pytest.mark.parametrize(
@@ -331,10 +339,16 @@ def test_the_step_study_has_each_step_with_both_integrals():
 
 def test_the_index_links_every_figure_relatively():
     outcome = reproduce.Outcome(
-        folder=Path("x"), records=(), verdicts=tuple(judge(AS_PUBLISHED)),
-        claims=tuple(claims_gripping.claims(pairs())), figures=tuple(FIGURES), drawn=0, outside=("this <b>",),
-        study=(), quick=False,
-    )  # fmt: skip
+        folder=Path("x"),
+        records=(),
+        verdicts=tuple(judge(AS_PUBLISHED)),
+        claims=tuple(claims_gripping.claims(pairs())),
+        figures=tuple(FIGURES),
+        drawn=0,
+        outside=("this <b>",),
+        study=(),
+        quick=False,
+    )
     page = thesis_page.page(outcome)
     sources = re.findall(r'src="([^"]+)"', page)
     assert sources == [f"figures/{figure.stem}.png" for figure in FIGURES.values()]
@@ -365,9 +379,11 @@ def test_jobs_start_with_the_longest_and_tell_how_they_ended():
 
 def test_an_interrupt_ends_every_child(tmp_path):
     child = f"import os, time, pathlib; pathlib.Path({str(tmp_path)!r}, str(os.getpid())).touch(); time.sleep(60)"
-    parent = ("from orchestrator.studies import processes as workers\n"
-              f"jobs = [workers.Job(str(k), ('-c', {child!r})) for k in range(3)]\n"
-              "workers.run_all(jobs, lambda *_: None, at_once=2)")  # fmt: skip
+    parent = (
+        "from orchestrator.studies import processes as workers\n"
+        f"jobs = [workers.Job(str(k), ('-c', {child!r})) for k in range(3)]\n"
+        "workers.run_all(jobs, lambda *_: None, at_once=2)"
+    )
     for number in (signal.SIGINT, signal.SIGTERM):
         process = subprocess.Popen([sys.executable, "-c", parent], stderr=subprocess.DEVNULL)
         await_(lambda: len(list(tmp_path.iterdir())) == 2)

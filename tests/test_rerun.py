@@ -21,8 +21,9 @@ def elsewhere(tmp_path):
     """elsewhere(*arguments) runs the command of a copy of the project at another path, which builds its own FMUs."""
     root = Path(orchestrator.__file__).parent.parent
     for folder in ("orchestrator", "fmus"):
-        shutil.copytree(root / folder, tmp_path / "copy" / folder,
-                        ignore=shutil.ignore_patterns("build", "__pycache__"))  # fmt: skip
+        shutil.copytree(
+            root / folder, tmp_path / "copy" / folder, ignore=shutil.ignore_patterns("build", "__pycache__")
+        )
 
     def run(*arguments):
         environment = {**os.environ, "PYTHONPATH": str(tmp_path / "copy"), "ORCH_BUILD": str(tmp_path / "copy/build")}

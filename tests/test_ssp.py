@@ -80,22 +80,29 @@ def component(name, content="", source="resources/a.fmu", more=""):
         for v, kind, causality, *_ in PROBE_VARIABLES
         if causality in ("input", "output") and kind != "Enumeration"
     )
-    return (f'<ssd:Component name="{name}" source="{source}" {more}><ssd:Connectors>{ports}</ssd:Connectors>'
-            f"{content}</ssd:Component>")  # fmt: skip
+    return (
+        f'<ssd:Component name="{name}" source="{source}" {more}><ssd:Connectors>{ports}</ssd:Connectors>'
+        f"{content}</ssd:Component>"
+    )
 
 
 def connection(start, end, content="", more=""):
     ends = [dict(zip(("Connector", "Element"), reversed(end.split(":")), strict=False)) for end in (start, end)]
-    words = [f'{side}{key}="{value}"' for side, given in zip(("start", "end"), ends, strict=True)
-             for key, value in given.items()]  # fmt: skip
+    words = [
+        f'{side}{key}="{value}"'
+        for side, given in zip(("start", "end"), ends, strict=True)
+        for key, value in given.items()
+    ]
     return f"<ssd:Connection {' '.join(words)} {more}>{content}</ssd:Connection>"
 
 
 def values(*parameters, attributes="", mapping=""):
     given = "".join(f'<ssv:Parameter name="{n}"><ssv:{kind} {value}/></ssv:Parameter>' for n, kind, value in parameters)
-    return (f"<ssd:ParameterBinding {attributes}><ssd:ParameterValues><ssv:ParameterSet version=\"1.0\" name=\"p\">"
-            f"<ssv:Parameters>{given}</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues>{mapping}"
-            "</ssd:ParameterBinding>")  # fmt: skip
+    return (
+        f'<ssd:ParameterBinding {attributes}><ssd:ParameterValues><ssv:ParameterSet version="1.0" name="p">'
+        f"<ssv:Parameters>{given}</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues>{mapping}"
+        "</ssd:ParameterBinding>"
+    )
 
 
 def bound(*bindings):
@@ -118,9 +125,20 @@ def test_the_description_is_valid_ssp_1_0(orch, tmp_path):
     assert {"m", "rad", "m/s", "N.m", "1"} <= units
     with zipfile.ZipFile(tmp_path / "system.ssp") as archive:
         assert sorted(archive.namelist()) == sorted(
-            ["SystemStructure.ssd", *(f"resources/{name}.fmu" for name in (
-                "mfsosmc", "bluerov2_allocation", "bluerov2_thesis", "gripping_reference", "ocean_current"))]
-        )  # fmt: skip
+            [
+                "SystemStructure.ssd",
+                *(
+                    f"resources/{name}.fmu"
+                    for name in (
+                        "mfsosmc",
+                        "bluerov2_allocation",
+                        "bluerov2_thesis",
+                        "gripping_reference",
+                        "ocean_current",
+                    )
+                ),
+            ]
+        )
 
 
 def test_the_same_experiment_gives_the_same_bytes(orch, write, spiral, tmp_path):
@@ -130,14 +148,17 @@ def test_the_same_experiment_gives_the_same_bytes(orch, write, spiral, tmp_path)
     assert {entry.date_time[0] for entry in zipfile.ZipFile(tmp_path / "one.ssp").infolist()} == {1980}  # not the clock
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    (["mine.toml", "--format", "csv"], "--format csv is for runs: an experiment becomes an SSP"),
-    (["mine.toml"], "say which format"),
-    (["last", "--format", "ssp"], "last is a run, SSP is for experiments"),
-    (["last", "--format", "csv", "--set", "a=1"], "are for experiments, and last is a run"),
-    (["mine.toml", "--format", "ssp", "-o", "mine.toml"], "is the experiment itself"),
-    (["nowhere.toml", "--format", "ssp"], "no such file"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["mine.toml", "--format", "csv"], "--format csv is for runs: an experiment becomes an SSP"),
+        (["mine.toml"], "say which format"),
+        (["last", "--format", "ssp"], "last is a run, SSP is for experiments"),
+        (["last", "--format", "csv", "--set", "a=1"], "are for experiments, and last is a run"),
+        (["mine.toml", "--format", "ssp", "-o", "mine.toml"], "is the experiment itself"),
+        (["nowhere.toml", "--format", "ssp"], "no such file"),
+    ],
+)
 def test_what_cannot_be_exported_says_so(orch, write, spiral, arguments, words):
     path = write(spiral)
     before = path.read_bytes()
@@ -209,8 +230,11 @@ def test_all_types_of_values_survive(orch, write, probe, tmp_path):
 def test_what_lies_between_two_ends_survives(orch, write, tmp_path):
     """Gains, offsets, and units: other tools convert none, so these are written as factors."""
     for name, unit in (("near", "m"), ("far", "km")):
-        ports = [(f"{v}{i}", "Real", kind, "0" if kind == "input" else None, unit, "")
-                 for v, kind in (("u", "input"), ("y", "output")) for i in range(4)]  # fmt: skip
+        ports = [
+            (f"{v}{i}", "Real", kind, "0" if kind == "input" else None, unit, "")
+            for v, kind in (("u", "input"), ("y", "output"))
+            for i in range(4)
+        ]
         paper_fmu(tmp_path / f"{name}.fmu", [*ports, ("n", "Integer", "output", None, None, "")])
     table = {
         "master": {"stop_time": 0.05, "step": 0.01},
@@ -225,16 +249,22 @@ def test_what_lies_between_two_ends_survives(orch, write, tmp_path):
     }
     path = write(table)
     found = [re.split(r"\s{2,}", line.strip())[::4] for line in orch("check", path).out.splitlines()]
-    for row in (["near.u0", "x 1000 (km to m)"], ["near.u1", "x 100 -3 (km to m)"], ["far.u0", "x 0.001 (m to km)"],
-                ["near.u3", "(Integer to m)"]):  # fmt: skip
+    for row in (
+        ["near.u0", "x 1000 (km to m)"],
+        ["near.u1", "x 100 -3 (km to m)"],
+        ["far.u0", "x 0.001 (m to km)"],
+        ["near.u3", "(Integer to m)"],
+    ):
         assert row in found
     orch("export", path, "-o", "system.ssp")
     orch("import", "system.ssp", "-o", "again.toml")
     digest = prepare(load(path)).digest
     assert prepare(load(tmp_path / "system.ssp")).digest == digest
     assert prepare(load(tmp_path / "again.toml")).digest == digest
-    scaled = {node.get("endConnector"): [(child.get("factor"), child.get("offset")) for child in node]
-              for node in description(tmp_path / "system.ssp").iter(f"{SSD}Connection")}  # fmt: skip
+    scaled = {
+        node.get("endConnector"): [(child.get("factor"), child.get("offset")) for child in node]
+        for node in description(tmp_path / "system.ssp").iter(f"{SSD}Connection")
+    }
     assert scaled["u1"] == [("100.0", "-3.0")]
     assert scaled["u2"] == []
 
@@ -242,16 +272,23 @@ def test_what_lies_between_two_ends_survives(orch, write, tmp_path):
 def test_values_of_fmi_3_survive(orch, write, tmp_path):
     """Every type at its limit, arrays, and a structural parameter that sets their size."""
     folder, suffix = platform_folder(3)
-    fmu = write_zip(tmp_path / "sponge.fmu", {"modelDescription.xml": test_fmi3.description(),
-                                              f"binaries/{folder}/sponge{suffix}": b"no library"})  # fmt: skip
+    fmu = write_zip(
+        tmp_path / "sponge.fmu",
+        {"modelDescription.xml": test_fmi3.description(), f"binaries/{folder}/sponge{suffix}": b"no library"},
+    )
     start = {f"{kind}_in": value for kind, value in test_fmi3.EXTREMES.items()}
     start |= {"UInt64_in": 7, "x": [1.5, 2.5, 3.5], "text_in": "wrung", "bytes_in": "c0ffee", "choice_in": "wet"}
     one = {"fmu": str(fmu), "start": start, "parameters": {"n": 3, "A": [[1, 2, 3], [0, 1, 0], [0, 0, 2]]}}
     two = {"fmu": str(fmu), "start": "fmu", "parameters": {"n": 3}, "isolation": "process", "timeout": 2.0}
     names = ("Float32", "UInt64", "Boolean", "text", "bytes", "choice")
     links = {f"two.{name}_in": f"one.{name}_out" for name in names}
-    path = write({"master": {"stop_time": 0.05, "step": 0.01}, "components": {"one": one, "two": two},
-                  "connections": links | {"two.x": "one.y"}})  # fmt: skip
+    path = write(
+        {
+            "master": {"stop_time": 0.05, "step": 0.01},
+            "components": {"one": one, "two": two},
+            "connections": links | {"two.x": "one.y"},
+        }
+    )
     answer = orch("export", path, "-o", "system.ssp")
     assert answer.code == 0, answer.err
     assert "libcosim and Ecos load no SSP with values of enumerations: two.choice_in, one.choice_in" in answer.err
@@ -259,8 +296,9 @@ def test_values_of_fmi_3_survive(orch, write, tmp_path):
     assert_valid(description(tmp_path / "system.ssp"))
     orch("import", "system.ssp", "-o", "again.toml")
     for again in ("system.ssp", "again.toml"):
-        assert prepare(load(tmp_path / again)).resolved["components"][0] | {"fmu": ""} == prepare(
-            load(path)).resolved["components"][0] | {"fmu": ""}  # fmt: skip
+        assert prepare(load(tmp_path / again)).resolved["components"][0] | {"fmu": ""} == prepare(load(path)).resolved[
+            "components"
+        ][0] | {"fmu": ""}
         assert prepare(load(tmp_path / again)).digest == prepare(load(path)).digest
     again = tomllib.loads((tmp_path / "again.toml").read_text())
     assert (again["components"]["two"]["isolation"], again["components"]["two"]["timeout"]) == ("process", 2.0)
@@ -328,16 +366,26 @@ def test_transformations_on_the_way_are_put_together(orch, theirs):
 
 def test_parameters_come_from_every_level_and_the_outer_one_wins(orch, theirs):
     ssv = f"{HEAD.replace('ssd:SystemStructureDescription', 'ssv:ParameterSet')}"
-    ssv += ('<ssv:Parameters><ssv:Parameter name="delay"><ssv:Real value="0.25" unit="ms"/></ssv:Parameter>'
-            '</ssv:Parameters><ssv:Units><ssc:Unit name="ms"><ssc:BaseUnit s="1" factor="1e-3"/></ssc:Unit></ssv:Units>'
-            "</ssv:ParameterSet>")  # fmt: skip
+    ssv += (
+        '<ssv:Parameters><ssv:Parameter name="delay"><ssv:Real value="0.25" unit="ms"/></ssv:Parameter>'
+        '</ssv:Parameters><ssv:Units><ssc:Unit name="ms"><ssc:BaseUnit s="1" factor="1e-3"/></ssc:Unit></ssv:Units>'
+        "</ssv:ParameterSet>"
+    )
     ssm = f"{HEAD.replace('ssd:SystemStructureDescription', 'ssm:ParameterMapping')}"
-    ssm += ('<ssm:MappingEntry source="delay" target="at"><ssc:LinearTransformation factor="2" offset="1"/>'
-            "</ssm:MappingEntry></ssm:ParameterMapping>")  # fmt: skip
-    mapped = ('<ssd:ParameterBinding source="extra/p.ssv"><ssd:ParameterMapping source="extra/p.ssm"/>'
-              "</ssd:ParameterBinding>")  # fmt: skip
-    own = values(("at", "Real", 'value="7"'), ("mode", "Integer", 'value="2"'), ("u", "Real", 'value="3"'),
-                 ("text", "String", 'value="a &amp; b"'), ("nowhere", "Real", 'value="1"'))  # fmt: skip
+    ssm += (
+        '<ssm:MappingEntry source="delay" target="at"><ssc:LinearTransformation factor="2" offset="1"/>'
+        "</ssm:MappingEntry></ssm:ParameterMapping>"
+    )
+    mapped = (
+        '<ssd:ParameterBinding source="extra/p.ssv"><ssd:ParameterMapping source="extra/p.ssm"/></ssd:ParameterBinding>'
+    )
+    own = values(
+        ("at", "Real", 'value="7"'),
+        ("mode", "Integer", 'value="2"'),
+        ("u", "Real", 'value="3"'),
+        ("text", "String", 'value="a &amp; b"'),
+        ("nowhere", "Real", 'value="1"'),
+    )
     prefixed = values(("mode", "Integer", 'value="5"'), attributes='prefix="two."')
     outer = bound(values(("one.mode", "Integer", 'value="4"'), ("way", "Integer", 'value="9"')), prefixed)
     path = theirs(
@@ -373,13 +421,20 @@ def test_everything_that_orch_does_not_run_is_listed_at_once(orch, theirs):
     )
     text = imported(orch, path, code=2)
     for words in (
-        "is of SSP 3.0; orch reads SSP 1.0", "starts at 5 s; orch starts at 0", "me: asks for Model Exchange",
-        "nested: is application/x-ssp-package, not an FMU", "'http://example.org/a.fmu' lies outside the archive",
-        "gone: the archive has no 'resources/gone.fmu'", "odd.hidden: is local of the FMU",
-        "odd.at: is in 'kg', the FMU's in 's': one is kg, the other s", "raw: its parameters: at is a Float32",
-        "bus: is a signal dictionary", "maps values one by one", "both ends give, or both take",
+        "is of SSP 3.0; orch reads SSP 1.0",
+        "starts at 5 s; orch starts at 0",
+        "me: asks for Model Exchange",
+        "nested: is application/x-ssp-package, not an FMU",
+        "'http://example.org/a.fmu' lies outside the archive",
+        "gone: the archive has no 'resources/gone.fmu'",
+        "odd.hidden: is local of the FMU",
+        "odd.at: is in 'kg', the FMU's in 's': one is kg, the other s",
+        "raw: its parameters: at is a Float32",
+        "bus: is a signal dictionary",
+        "maps values one by one",
+        "both ends give, or both take",
         "there is no element 'nobody'",
-    ):  # fmt: skip
+    ):
         assert words in text
     assert "13 problems" in text
     assert {p.name for p in path.parent.iterdir()} == {"a.fmu", "b.fmu", "theirs.ssp"}  # nothing is left of it
@@ -407,23 +462,32 @@ def link_to(target):
 
 
 ENTITY = HEAD.replace("<ssd:System", '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/hostname">]>\n<ssd:System', 1)
-BOMB = HEAD.replace("<ssd:System", "<!DOCTYPE x [" + '<!ENTITY a "ha">' + "".join(
-    f'<!ENTITY {chr(98 + i)} "{f"&{chr(97 + i)};" * 10}">' for i in range(12)) + "]>\n<ssd:System", 1)  # fmt: skip
+BOMB = HEAD.replace(
+    "<ssd:System",
+    "<!DOCTYPE x ["
+    + '<!ENTITY a "ha">'
+    + "".join(f'<!ENTITY {chr(98 + i)} "{f"&{chr(97 + i)};" * 10}">' for i in range(12))
+    + "]>\n<ssd:System",
+    1,
+)
 
 
-@pytest.mark.parametrize(("files", "words"), [
-    ({"../outside.fmu": b"x"}, "would write outside its folder"),
-    ({"/tmp/outside.fmu": b"x"}, "would write outside its folder"),
-    ({"C:\\outside.fmu": b"x"}, "would write outside its folder"),
-    ({"resources/zeros.bin": bytes(1 << 28)}, "unpacks to an absurd size"),
-    ({"SystemStructure.ssd": ENTITY + "<ssd:System>&e;</ssd:System>" + TAIL}, "has a document type"),
-    ({"SystemStructure.ssd": BOMB + "<ssd:System>&m;</ssd:System>" + TAIL}, "SystemStructure.ssd"),
-    ({"SystemStructure.ssd": HEAD}, "cannot be read"),
-    ({"SystemStructure.ssd": "<a/>"}, "is no system structure"),
-    ({"SystemStructure.ssd": HEAD + "<ssd:System name='s'>" * 500}, "cannot be read"),
-    ({"SystemStructure.ssd": None}, "it has no SystemStructure.ssd"),
-    ({"SystemStructure.ssd": b"\xff\xfe\x00"}, "cannot be read"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"../outside.fmu": b"x"}, "would write outside its folder"),
+        ({"/tmp/outside.fmu": b"x"}, "would write outside its folder"),
+        ({"C:\\outside.fmu": b"x"}, "would write outside its folder"),
+        ({"resources/zeros.bin": bytes(1 << 28)}, "unpacks to an absurd size"),
+        ({"SystemStructure.ssd": ENTITY + "<ssd:System>&e;</ssd:System>" + TAIL}, "has a document type"),
+        ({"SystemStructure.ssd": BOMB + "<ssd:System>&m;</ssd:System>" + TAIL}, "SystemStructure.ssd"),
+        ({"SystemStructure.ssd": HEAD}, "cannot be read"),
+        ({"SystemStructure.ssd": "<a/>"}, "is no system structure"),
+        ({"SystemStructure.ssd": HEAD + "<ssd:System name='s'>" * 500}, "cannot be read"),
+        ({"SystemStructure.ssd": None}, "it has no SystemStructure.ssd"),
+        ({"SystemStructure.ssd": b"\xff\xfe\x00"}, "cannot be read"),
+    ],
+)
 def test_an_archive_that_means_harm_is_refused(theirs, tmp_path, files, words):
     path = theirs(f"<ssd:Elements>{component('a')}</ssd:Elements>")
     with zipfile.ZipFile(path) as archive:
@@ -465,14 +529,19 @@ def mutated(text, dice):
                 other = dice.choice(list(root.iter(etree.Element)))
                 node.getparent().remove(node) if dice.random() < 0.4 else other.append(copy.deepcopy(node))
         return etree.tostring(root).decode()
-    pieces = text.replace("<", "\0<").replace(' ', "\0 ").replace('"', '\0"').split("\0")
+    pieces = text.replace("<", "\0<").replace(" ", "\0 ").replace('"', '\0"').split("\0")
     for _ in range(dice.randint(1, 2)):
         i, j = dice.randrange(len(pieces)), dice.randrange(len(pieces))
-        dice.choice([
-            lambda i=i: pieces.pop(i), lambda i=i: pieces.insert(i, pieces[i]),
-            lambda i=i, j=j: pieces.__setitem__(i, pieces[j]),
-            lambda i=i: pieces.__setitem__(i, pieces[i] + dice.choice(["-1", "é", "nan", "..", "/", "&lt;", "1e999"])),
-        ])()  # fmt: skip
+        dice.choice(
+            [
+                lambda i=i: pieces.pop(i),
+                lambda i=i: pieces.insert(i, pieces[i]),
+                lambda i=i, j=j: pieces.__setitem__(i, pieces[j]),
+                lambda i=i: pieces.__setitem__(
+                    i, pieces[i] + dice.choice(["-1", "é", "nan", "..", "/", "&lt;", "1e999"])
+                ),
+            ]
+        )()
     return "".join(pieces)
 
 
@@ -482,8 +551,9 @@ def test_a_mutated_description_is_read_or_refused_in_words(theirs, tmp_path):
         <ssd:Elements>{component("one", bound(values(("at", "Real", 'value="1" unit="s"'))))}
         <ssd:System name="deep"><ssd:Connectors><ssd:Connector name="in" kind="input"/></ssd:Connectors><ssd:Elements>
         {component("two", source="resources/b.fmu")}</ssd:Elements><ssd:Connections>{connection("in", "two:u")}
-        </ssd:Connections></ssd:System></ssd:Elements><ssd:Connections>{connection("one:y", "deep:in",
-        '<ssc:LinearTransformation factor="2"/>')}{connection("way", "one:count")}</ssd:Connections>"""
+        </ssd:Connections></ssd:System></ssd:Elements><ssd:Connections>{
+        connection("one:y", "deep:in", '<ssc:LinearTransformation factor="2"/>')
+    }{connection("way", "one:count")}</ssd:Connections>"""
     path = theirs(content)
     with zipfile.ZipFile(path) as archive:
         text = archive.read("SystemStructure.ssd").decode()
@@ -509,12 +579,22 @@ def importable(module):
 @pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("master", ["libcosim", "ecos"])
-@pytest.mark.parametrize(("experiment", "changes"), [
-    ("spiral_pid", []),
-    ("spiral_pid", ["--set", "components.current.parameters.velocity.y=0.7", "--set",
-                    'connections."vehicle.v_c"={from = "current.v_c", gain = 0.5, offset = 0.1}']),
-    ("gripping_currents", ["--swap", "controller1=pid", "--swap", "controller2=pid", "--set", "master.step=1e-3"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("experiment", "changes"),
+    [
+        ("spiral_pid", []),
+        (
+            "spiral_pid",
+            [
+                "--set",
+                "components.current.parameters.velocity.y=0.7",
+                "--set",
+                'connections."vehicle.v_c"={from = "current.v_c", gain = 0.5, offset = 0.1}',
+            ],
+        ),
+        ("gripping_currents", ["--swap", "controller1=pid", "--swap", "controller2=pid", "--set", "master.step=1e-3"]),
+    ],
+)
 def test_other_masters_compute_the_same_from_the_ssp(orch, tmp_path, master, experiment, changes):
     """Both step by Jacobi, as `orch` then does; times that differ in the last bit leave 1e-11 of forces of 100 N."""
     module = {"libcosim": "libcosimpy", "ecos": "ecospy"}[master]
@@ -525,11 +605,18 @@ def test_other_masters_compute_the_same_from_the_ssp(orch, tmp_path, master, exp
     assert orch("run", *arguments, "-o", "run.h5").code == 0
     run = orchestrator.open_run(tmp_path / "run.h5")
     step = run.attributes["step"]
-    task = {"step": step, "stride": round((run.time[1] - run.time[0]) / step), "rows": len(run.time) - 1,
-            "signals": run.signals}  # fmt: skip
+    task = {
+        "step": step,
+        "stride": round((run.time[1] - run.time[0]) / step),
+        "rows": len(run.time) - 1,
+        "signals": run.signals,
+    }
     (tmp_path / "task.json").write_text(json.dumps(task))
-    subprocess.run([sys.executable, Path(__file__).with_name("ssp_peer.py"), master, "system.ssp", "task.json",
-                    "rows.npy"], cwd=tmp_path, check=True)  # fmt: skip
+    subprocess.run(
+        [sys.executable, Path(__file__).with_name("ssp_peer.py"), master, "system.ssp", "task.json", "rows.npy"],
+        cwd=tmp_path,
+        check=True,
+    )
     theirs = np.load(tmp_path / "rows.npy")
     ours = np.column_stack([run[name] for name in run.signals])[1:]
     assert ours.shape == theirs.shape

@@ -127,8 +127,14 @@ def test_all_problems_of_a_sweep_are_told_at_once(orch, sweep, write):
         answer = orch(command, write(sweep))
         assert answer.code == 2
         assert "5 problems" not in answer.err
-        for words in ("did you mean 'draws'", "did you mean 'sobol'", "did you mean 'uniform'", "not below high = 12.0",
-                      "is an empty list", "no list 'nobody'"):  # fmt: skip
+        for words in (
+            "did you mean 'draws'",
+            "did you mean 'sobol'",
+            "did you mean 'uniform'",
+            "not below high = 12.0",
+            "is an empty list",
+            "no list 'nobody'",
+        ):
             assert words in answer.err
 
 
@@ -170,8 +176,16 @@ def test_a_sweep_is_ordinary_runs_and_is_not_repeated(orch, sweep, write, tmp_pa
     cells = dict(zip(lines[0].split(","), lines[4].split(","), strict=True))
     assert (cells[FMU], cells["draw"], cells["status"]) == ("mfsosmc", "1", "completed")
     drawn = [f"{key}={cells[key]}" for key in cells if key.startswith((FAST, MASS))]
-    alone = orch("run", path, "--json", "--results", "alone", "--swap", f"controller={cells[FMU]}",
-                 *(word for text in drawn for word in ("--set", text))).json  # fmt: skip
+    alone = orch(
+        "run",
+        path,
+        "--json",
+        "--results",
+        "alone",
+        "--swap",
+        f"controller={cells[FMU]}",
+        *(word for text in drawn for word in ("--set", text)),
+    ).json
     assert alone["run_id"] == cells["run_id"]
     assert {name: repr(value) for name, value in alone["metrics"].items()} == {n: cells[n] for n in alone["metrics"]}
     listed = {run["run_id"] for run in orch("list", "--json").json}
@@ -260,8 +274,13 @@ def long(sweep, write, draws=24):
 
 
 def begin(path, results, *more):
-    return subprocess.Popen([ORCH, "sweep", path, "--results", results, "--json", *more], cwd=Path(path).parent,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    return subprocess.Popen(
+        [ORCH, "sweep", path, "--results", results, "--json", *more],
+        cwd=Path(path).parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def wait_for_records(folder, n):
@@ -397,13 +416,25 @@ def judged(tmp_path):
     folder.mkdir(parents=True)
     keys = [FMU, "components.vehicle.parameters.m", "components.vehicle.parameters.d"]
     description = {
-        "format": "orch-sweep", "format_version": 1, "sweep_id": "0123456789", "experiment": "known", "title": "Known",
-        "experiment_toml": "title = 'Known'", "changes": {}, "draws": 8, "skip": 0, "design": "random", "seed": 1,
-        "keep": "metrics", "keys": keys,
+        "format": "orch-sweep",
+        "format_version": 1,
+        "sweep_id": "0123456789",
+        "experiment": "known",
+        "title": "Known",
+        "experiment_toml": "title = 'Known'",
+        "changes": {},
+        "draws": 8,
+        "skip": 0,
+        "design": "random",
+        "seed": 1,
+        "keep": "metrics",
+        "keys": keys,
         "labels": dict(zip(keys, ["controller.fmu", "vehicle.m", "vehicle.d"], strict=True)),
-        "lists": [[[FMU], [["a"], ["b"], ["c"]]]], "distributions": {}, "fmus": {},
+        "lists": [[[FMU], [["a"], ["b"], ["c"]]]],
+        "distributions": {},
+        "fmus": {},
         "metrics": [{"name": "rmse", "of": "rmse", "unit": "m", "ranked": True}],
-    }  # fmt: skip
+    }
     (folder / "sweep.json").write_text(json.dumps(description))
     lines = [",".join(["run", "draw", *keys, "run_id", "status", "rmse", "error"])]
     for i, row in enumerate(zip(A, B, C, strict=True)):

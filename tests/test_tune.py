@@ -16,10 +16,16 @@ def tuning(spiral):
     spiral["metrics"] = {"rmse_x": spiral["metrics"]["rmse_x"]}
     velocity = {"distribution": "direction", "axes": ["x", "y"], "low": 0.0, "high": 0.5}
     spiral["sweep"] = {
-        "seed": 3, "vary": {FMU: ["pid", "mfsosmc"], "components.current.parameters.velocity": velocity},
-        "tune": {"objective": "rmse_x", "trials": 6, "draws": 4, "held_out": 3,
-                 "search": {"pid": SPACE, "mfsosmc": {"K_d.x": {**SPACE["K_p.x"], "low": 100.0}}}},
-    }  # fmt: skip
+        "seed": 3,
+        "vary": {FMU: ["pid", "mfsosmc"], "components.current.parameters.velocity": velocity},
+        "tune": {
+            "objective": "rmse_x",
+            "trials": 6,
+            "draws": 4,
+            "held_out": 3,
+            "search": {"pid": SPACE, "mfsosmc": {"K_d.x": {**SPACE["K_p.x"], "low": 100.0}}},
+        },
+    }
     spiral["sweep"]["draws"] = 2
     return spiral
 
@@ -30,8 +36,14 @@ def test_all_problems_of_a_search_are_told_at_once(orch, tuning, write):
     tuning["sweep"]["tune"]["search"]["pid"] = bad
     answer = orch("tune", write(tuning))
     assert answer.code == 2
-    for words in ("no metric 'rmse_y'; did you mean 'rmse_x'", "at least 1", "did you mean 'minimize'",
-                  "unknown key", "no distribution 'normal'", "a logarithm needs a positive number"):  # fmt: skip
+    for words in (
+        "no metric 'rmse_y'; did you mean 'rmse_x'",
+        "at least 1",
+        "did you mean 'minimize'",
+        "unknown key",
+        "no distribution 'normal'",
+        "a logarithm needs a positive number",
+    ):
         assert words in answer.err
 
 

@@ -42,12 +42,15 @@ def vector(name, axes, kind="Real", causality="output", unit="m"):
 # --- FMU files --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("fmu", "words"), [
-    ("pdi", "no FMU 'pdi'; did you mean 'pid'?"),
-    ("secnd.fmu", "no file 'secnd.fmu'; did you mean 'second.fmu'?"),
-    ("mine.py", "build it first: orch build mine.py"),
-    ("nowhere/second.fmu", "no file 'nowhere/second.fmu'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("fmu", "words"),
+    [
+        ("pdi", "no FMU 'pdi'; did you mean 'pid'?"),
+        ("secnd.fmu", "no file 'secnd.fmu'; did you mean 'second.fmu'?"),
+        ("mine.py", "build it first: orch build mine.py"),
+        ("nowhere/second.fmu", "no file 'nowhere/second.fmu'"),
+    ],
+)
 def test_an_unknown_fmu_names_the_nearest_one(problems, two, fmu, words):
     (found,) = problems(two(**{"components.a.fmu": fmu}))
     assert found[0] == "components.a.fmu"
@@ -64,14 +67,17 @@ def test_what_is_no_fmu_is_refused(problems, two, tmp_path):
     }
 
 
-@pytest.mark.parametrize(("xml", "words"), [
-    ("<fmiModelDescription", "modelDescription.xml cannot be read"),
-    ("<nothing/>", "modelDescription.xml cannot be read"),
-    (description_xml("first", PROBE_VARIABLES, version="1.0"), "orch runs FMI 2.0"),
-    (description_xml("first", PROBE_VARIABLES, version="3.0"), "orch runs FMI 2.0"),
-    (description_xml("first", PROBE_VARIABLES, interface="ModelExchange"), "only Model Exchange"),
-    (description_xml("other", PROBE_VARIABLES), "no binary"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("xml", "words"),
+    [
+        ("<fmiModelDescription", "modelDescription.xml cannot be read"),
+        ("<nothing/>", "modelDescription.xml cannot be read"),
+        (description_xml("first", PROBE_VARIABLES, version="1.0"), "orch runs FMI 2.0"),
+        (description_xml("first", PROBE_VARIABLES, version="3.0"), "orch runs FMI 2.0"),
+        (description_xml("first", PROBE_VARIABLES, interface="ModelExchange"), "only Model Exchange"),
+        (description_xml("other", PROBE_VARIABLES), "no binary"),
+    ],
+)
 def test_an_fmu_that_cannot_run_here_says_why(problems, two, tmp_path, xml, words):
     table = two()
     with zipfile.ZipFile(tmp_path / "first.fmu") as archive:
@@ -84,10 +90,12 @@ def test_an_fmu_that_cannot_run_here_says_why(problems, two, tmp_path, xml, word
 
 def test_an_fmu_of_another_interface_is_named_as_such(problems, two, tmp_path):
     table = two()
-    xml = ('<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="first" instantiationToken="{a}">'
-           '<ScheduledExecution modelIdentifier="first"/><ModelVariables><Float64 name="y" valueReference="1" '
-           'causality="output"/></ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure>'
-           "</fmiModelDescription>")  # fmt: skip
+    xml = (
+        '<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="first" instantiationToken="{a}">'
+        '<ScheduledExecution modelIdentifier="first"/><ModelVariables><Float64 name="y" valueReference="1" '
+        'causality="output"/></ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure>'
+        "</fmiModelDescription>"
+    )
     write_zip(tmp_path / "first.fmu", {"modelDescription.xml": xml})
     words = "has no co-simulation interface, only Scheduled Execution"
     assert words in dict(problems(table))["components.a.fmu"]
@@ -96,17 +104,29 @@ def test_an_fmu_of_another_interface_is_named_as_such(problems, two, tmp_path):
 def test_an_fmu_without_a_binary_for_this_platform_says_which_it_has(problems, two, tmp_path):
     table = two()
     xml = description_xml("first", PROBE_VARIABLES)
-    write_zip(tmp_path / "first.fmu", {"modelDescription.xml": xml, "binaries/riscv128/first.so": "",
-                                       "binaries/amiga/first.so": ""})  # fmt: skip
+    write_zip(
+        tmp_path / "first.fmu",
+        {"modelDescription.xml": xml, "binaries/riscv128/first.so": "", "binaries/amiga/first.so": ""},
+    )
     (found,) = problems(table)
     assert "has no binary for this platform" in found[1]
     assert "it has amiga, riscv128" in found[1]
 
 
-@pytest.mark.parametrize("name", [
-    "../evil.txt", "/tmp/evil.txt", "binaries/../../evil.txt", "resources/..", "C:/evil.txt", "C:evil.txt",
-    "..\\evil.txt", "resources\\..\\..\\evil.txt", "\\\\server\\share\\evil.txt",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../evil.txt",
+        "/tmp/evil.txt",
+        "binaries/../../evil.txt",
+        "resources/..",
+        "C:/evil.txt",
+        "C:evil.txt",
+        "..\\evil.txt",
+        "resources\\..\\..\\evil.txt",
+        "\\\\server\\share\\evil.txt",
+    ],
+)
 def test_a_zip_that_writes_outside_its_folder_is_not_opened(problems, two, tmp_path, name):
     table = two()
     with zipfile.ZipFile(tmp_path / "first.fmu", "a") as archive:
@@ -177,20 +197,23 @@ def test_foreign_fmus_with_different_modules_of_one_name_run_in_different_proces
 # --- Connections ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("changes", "key", "words"), [
-    ({"connections.b.u": "a.z"}, 'connections."b.u"', "no output 'a.z'; did you mean 'a.y'? a has: a.y, a.steps"),
-    ({"connections.b.uu": "a.y"}, 'connections."b.uu"', "no input 'b.uu'; did you mean 'b.u'?"),
-    ({"connections.b.u": "c.y"}, 'connections."b.u"', "no component 'c'"),
-    ({"connections.bb.u": "a.y"}, 'connections."bb.u"', "no component 'bb'; did you mean 'b'?"),
-    ({"connections.b.u": "a.u"}, 'connections."b.u"', "'a.u' is an input, not an output; did you mean"),
-    ({"connections.b.y": "a.y"}, 'connections."b.y"', "'b.y' is an output, not an input; did you mean"),
-    ({"connections.b.at": "a.y"}, 'connections."b.at"', "'b.at' is a parameter, not an input"),
-    ({"connections.b.u": "a.hidden"}, 'connections."b.u"', "'a.hidden' is a local, not an output"),
-    ({"connections.b.u": "a.steps"}, 'connections."b.u"', "u is Real, steps is Integer; say gain = 1.0"),
-    ({"connections.b.flag": "a.steps"}, 'connections."b.flag"', "flag is Boolean, steps is Integer"),
-    ({"connections.b.text": "a.y"}, 'connections."b.text"', "text is String, y is Real"),
-    ({"connections.b": "a.y"}, 'connections."b"', "no input 'b'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "key", "words"),
+    [
+        ({"connections.b.u": "a.z"}, 'connections."b.u"', "no output 'a.z'; did you mean 'a.y'? a has: a.y, a.steps"),
+        ({"connections.b.uu": "a.y"}, 'connections."b.uu"', "no input 'b.uu'; did you mean 'b.u'?"),
+        ({"connections.b.u": "c.y"}, 'connections."b.u"', "no component 'c'"),
+        ({"connections.bb.u": "a.y"}, 'connections."bb.u"', "no component 'bb'; did you mean 'b'?"),
+        ({"connections.b.u": "a.u"}, 'connections."b.u"', "'a.u' is an input, not an output; did you mean"),
+        ({"connections.b.y": "a.y"}, 'connections."b.y"', "'b.y' is an output, not an input; did you mean"),
+        ({"connections.b.at": "a.y"}, 'connections."b.at"', "'b.at' is a parameter, not an input"),
+        ({"connections.b.u": "a.hidden"}, 'connections."b.u"', "'a.hidden' is a local, not an output"),
+        ({"connections.b.u": "a.steps"}, 'connections."b.u"', "u is Real, steps is Integer; say gain = 1.0"),
+        ({"connections.b.flag": "a.steps"}, 'connections."b.flag"', "flag is Boolean, steps is Integer"),
+        ({"connections.b.text": "a.y"}, 'connections."b.text"', "text is String, y is Real"),
+        ({"connections.b": "a.y"}, 'connections."b"', "no input 'b'"),
+    ],
+)
 def test_a_connection_that_does_not_fit_says_why(problems, two, changes, key, words):
     ((found, sentence),) = problems(two(**changes))
     assert found == key
@@ -209,15 +232,26 @@ def test_units_must_be_of_the_same_quantity(resolve, problems, two, unit, fits):
         resolve(table)
     else:
         assert problems(table) == [
-            ('connections."b.u"', "u is in 'm', y in 's': one is s, the other m in SI base units; connect what fits, "
-             "or say unit_check = false for this connection")
-        ]  # fmt: skip
+            (
+                'connections."b.u"',
+                "u is in 'm', y in 's': one is s, the other m in SI base units; connect what fits, "
+                "or say unit_check = false for this connection",
+            )
+        ]
 
 
-@pytest.mark.parametrize(("source", "sink", "factor", "offset"), [
-    ("deg", "rad", math.pi / 180, 0.0), ("rpm", "rad/s", math.pi / 30, 0.0), ("kn", "m/s", 1852 / 3600, 0.0),
-    ("degC", "K", 1.0, 273.15), ("K", "degC", 1.0, -273.15), ("rad", "deg", 180 / math.pi, 0.0), ("", "rad", 1.0, 0.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("source", "sink", "factor", "offset"),
+    [
+        ("deg", "rad", math.pi / 180, 0.0),
+        ("rpm", "rad/s", math.pi / 30, 0.0),
+        ("kn", "m/s", 1852 / 3600, 0.0),
+        ("degC", "K", 1.0, 273.15),
+        ("K", "degC", 1.0, -273.15),
+        ("rad", "deg", 180 / math.pi, 0.0),
+        ("", "rad", 1.0, 0.0),
+    ],
+)
 def test_units_of_one_quantity_are_converted(resolve, two, source, sink, factor, offset):
     table = two(
         a=[("y", "Real", "output", None, source or None, "it"), *PROBE_VARIABLES[2:]],
@@ -227,14 +261,17 @@ def test_units_of_one_quantity_are_converted(resolve, two, source, sink, factor,
     assert (link.factor, link.offset) == (pytest.approx(factor, rel=1e-15), pytest.approx(offset, rel=1e-15))
 
 
-@pytest.mark.parametrize(("connection", "outcome"), [
-    ({"from": "a.y", "unit_check": False}, (1.0, 0.0)),
-    ({"from": "a.y", "unit_check": False, "gain": 2, "offset": -1}, (2.0, -1.0)),
-    ({"from": "a.y", "gain": 2.0}, "unit_check = false"),
-    ({"gain": 2.0}, "is {'gain': 2.0}, not the name of an output"),
-    ({"from": "a.y", "gian": 2.0}, "unknown key; did you mean 'gain'?"),
-    ({"from": "a.y", "gain": "2"}, "is '2'; give a finite number"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("connection", "outcome"),
+    [
+        ({"from": "a.y", "unit_check": False}, (1.0, 0.0)),
+        ({"from": "a.y", "unit_check": False, "gain": 2, "offset": -1}, (2.0, -1.0)),
+        ({"from": "a.y", "gain": 2.0}, "unit_check = false"),
+        ({"gain": 2.0}, "is {'gain': 2.0}, not the name of an output"),
+        ({"from": "a.y", "gian": 2.0}, "unknown key; did you mean 'gain'?"),
+        ({"from": "a.y", "gain": "2"}, "is '2'; give a finite number"),
+    ],
+)
 def test_a_connection_may_scale_and_may_leave_units_alone(resolve, problems, two, connection, outcome):
     a = [("y", "Real", "output", None, "s", "a time"), *PROBE_VARIABLES[2:]]
     table = two(a=a, **{"connections.b.u": connection})
@@ -251,10 +288,13 @@ def test_a_gain_may_carry_the_unit_of_a_number_without_one(resolve, two):
     assert next(link.factor for link in resolve(table).links if link.input.name == "u") == 40.0
 
 
-@pytest.mark.parametrize(("axes", "words"), [
-    (("x", "y"), "b.p has 3 axes (x y z), a.q has 2 axes (x y)"),
-    (("x", "y", "w"), "the axes differ"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        (("x", "y"), "b.p has 3 axes (x y z), a.q has 2 axes (x y)"),
+        (("x", "y", "w"), "the axes differ"),
+    ],
+)
 def test_vectors_of_different_axes_do_not_fit(problems, two, axes, words):
     table = two(a=vector("q", axes), b=vector("p", "xyz", causality="input"), connections={"b.p": "a.q"})
     ((_, sentence),) = problems(table)
@@ -274,8 +314,11 @@ def test_a_numbered_vector_connects_in_order(resolve, two):
 
 
 def test_two_drivers_of_one_axis_are_refused(problems, two):
-    table = two(a=[*vector("q", "xyz"), *PROBE_VARIABLES[1:2]], b=vector("p", "xyz", causality="input"),
-                connections={"b.p": "a.q", "b.p.y": "a.y"})  # fmt: skip
+    table = two(
+        a=[*vector("q", "xyz"), *PROBE_VARIABLES[1:2]],
+        b=vector("p", "xyz", causality="input"),
+        connections={"b.p": "a.q", "b.p.y": "a.y"},
+    )
     ((key, sentence),) = problems(table)
     assert key == 'connections."b.p.y"'
     assert sentence == "p.y has two drivers: a.q and a.y; keep one"
@@ -283,8 +326,12 @@ def test_two_drivers_of_one_axis_are_refused(problems, two):
 
 def test_an_unconnected_input_is_told_by_axis(problems, two):
     """One axis has its connection, one a start value, one nothing."""
-    table = two(a=vector("q", "xyz"), b=vector("p", "xyz", causality="input"), connections={"b.p.x": "a.q.x"},
-                **{"components.b.start": {"p.y": 0.5}})  # fmt: skip
+    table = two(
+        a=vector("q", "xyz"),
+        b=vector("p", "xyz", causality="input"),
+        connections={"b.p.x": "a.q.x"},
+        **{"components.b.start": {"p.y": 0.5}},
+    )
     ((key, sentence),) = problems(table)
     assert key == "components.b"
     assert "nothing drives its input 'p' (z)" in sentence
@@ -314,33 +361,39 @@ def test_a_start_value_of_a_connected_input_is_refused(problems, two):
 # --- Values -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("parameters", "key", "words"), [
-    ({"eta_0": [1, 2]}, "eta_0", "has 2 values for 6 axes (x y z phi theta psi)"),
-    ({"eta_0": 3.0}, "eta_0", "is a vector (x y z phi theta psi), not 3.0; give 6 values, or a table of axes"),
-    ({"eta_0": {"X": 3.0}}, "eta_0", "no axis 'X'; did you mean"),
-    ({"eta_0": {"z": [1]}}, "eta_0", "eta_0.z is Real, not [1]"),
-    ({"eta_0": [1, 2, 3, 4, 5, "six"]}, "eta_0", "eta_0.psi is Real, not 'six'"),
-    ({"W": [1, 2]}, "W", "W is Real, not [1, 2]"),
-    ({"W": {"x": 1}}, "W", "W is Real, not {'x': 1}"),
-    ({"W": True}, "W", "W is Real, not True"),
-    ({"w": 1.0}, "w", "no parameter 'w'"),
-    ({"eta": [0, 0, 0, 0, 0, 0]}, "eta", "is no parameter but output"),
-    ({"T[1,1]": 1.0}, "T[1,1]", "is no parameter but calculatedParameter"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("parameters", "key", "words"),
+    [
+        ({"eta_0": [1, 2]}, "eta_0", "has 2 values for 6 axes (x y z phi theta psi)"),
+        ({"eta_0": 3.0}, "eta_0", "is a vector (x y z phi theta psi), not 3.0; give 6 values, or a table of axes"),
+        ({"eta_0": {"X": 3.0}}, "eta_0", "no axis 'X'; did you mean"),
+        ({"eta_0": {"z": [1]}}, "eta_0", "eta_0.z is Real, not [1]"),
+        ({"eta_0": [1, 2, 3, 4, 5, "six"]}, "eta_0", "eta_0.psi is Real, not 'six'"),
+        ({"W": [1, 2]}, "W", "W is Real, not [1, 2]"),
+        ({"W": {"x": 1}}, "W", "W is Real, not {'x': 1}"),
+        ({"W": True}, "W", "W is Real, not True"),
+        ({"w": 1.0}, "w", "no parameter 'w'"),
+        ({"eta": [0, 0, 0, 0, 0, 0]}, "eta", "is no parameter but output"),
+        ({"T[1,1]": 1.0}, "T[1,1]", "is no parameter but calculatedParameter"),
+    ],
+)
 def test_a_parameter_of_the_wrong_shape_says_which_it_has(problems, spiral, parameters, key, words):
     ((found, sentence),) = problems(merged(spiral, {"components.vehicle.parameters": parameters}))
     assert found == f"components.vehicle.parameters.{key}"
     assert words in sentence
 
 
-@pytest.mark.parametrize(("start", "words"), [
-    ({"count": 2.5}, "count is Integer, not 2.5"),
-    ({"count": 3_000_000_000}, "does not fit 32 bits"),
-    ({"flag": 1}, "flag is Boolean, not 1"),
-    ({"text": 1}, "text is String, not 1"),
-    ({"y": 1.0}, "is no input but output"),
-    ({"v": 1.0}, "no input 'v'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ({"count": 2.5}, "count is Integer, not 2.5"),
+        ({"count": 3_000_000_000}, "does not fit 32 bits"),
+        ({"flag": 1}, "flag is Boolean, not 1"),
+        ({"text": 1}, "text is String, not 1"),
+        ({"y": 1.0}, "is no input but output"),
+        ({"v": 1.0}, "no input 'v'"),
+    ],
+)
 def test_a_start_value_of_the_wrong_type_is_refused(problems, two, start, words):
     table = two(connections={}, **{"components.b.start": {"u": 1.0, "count": 1, "flag": True, "text": "a", **start}})
     found = problems(table)
@@ -396,8 +449,11 @@ def test_a_matrix_parameter_takes_a_list_of_rows(resolve, problems, two):
 def test_the_seed_of_the_experiment_reaches_what_has_one_and_is_told_none(resolve, two):
     """Derived from the seed and the component's name: two components differ, a set value stays."""
     seeded = [*PROBE_VARIABLES, ("seed", "Integer", "parameter", "1", None, "seed")]
-    table = two(a=seeded, b=seeded, **{"master.seed": 5, "components.c": {"fmu": "first.fmu", "start": "fmu",
-                                                                          "parameters": {"seed": 3}}})  # fmt: skip
+    table = two(
+        a=seeded,
+        b=seeded,
+        **{"master.seed": 5, "components.c": {"fmu": "first.fmu", "start": "fmu", "parameters": {"seed": 3}}},
+    )
 
     def seeds(**changes):
         return {part.name: part.parameters.get("seed") for part in resolve(merged(table, changes)).parts}
@@ -414,16 +470,19 @@ def test_the_seed_of_the_experiment_reaches_what_has_one_and_is_told_none(resolv
 # --- What is recorded, and the identity of a run ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("signals", "expected"), [
-    (["*"], ["a.y", "a.steps", "b.y", "b.steps"]),
-    (["a.*"], ["a.y", "a.steps"]),
-    (["a.y", "b.y"], ["a.y", "b.y"]),
-    (["*", "!b.*"], ["a.y", "a.steps"]),
-    (["!*.steps"], ["a.y", "b.y"]),
-    (["*.y", "!a.*"], ["b.y"]),
-    (["?.y"], ["a.y", "b.y"]),
-    ([], []),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("signals", "expected"),
+    [
+        (["*"], ["a.y", "a.steps", "b.y", "b.steps"]),
+        (["a.*"], ["a.y", "a.steps"]),
+        (["a.y", "b.y"], ["a.y", "b.y"]),
+        (["*", "!b.*"], ["a.y", "a.steps"]),
+        (["!*.steps"], ["a.y", "b.y"]),
+        (["*.y", "!a.*"], ["b.y"]),
+        (["?.y"], ["a.y", "b.y"]),
+        ([], []),
+    ],
+)
 def test_globs_choose_the_outputs_that_are_recorded(resolve, two, signals, expected):
     short = [v for v in PROBE_VARIABLES if v[0] in ("u", "y", "steps", "hidden")]
     table = two(a=short, b=short, connections={}, **{"record.signals": signals})
@@ -436,12 +495,22 @@ def test_globs_match_inputs_and_locals_where_asked(resolve, two):
     assert resolve(table).resolved["record"]["signals"] == ["a.u", "a.y", "a.hidden"]
 
 
-@pytest.mark.parametrize("changes", [
-    {"master.stop_time": 0.06}, {"master.step": 5e-4}, {"master.algorithm": "jacobi"}, {"master.seed": 1},
-    {"components.controller.parameters": {"K_p": {"z": 90.0}}}, {"components.controller.step": 2e-3},
-    {"components.controller.fmu": "mfsosmc"}, {"connections.controller.nu": None, "components.controller.start": "fmu"},
-    {"record.every": 1e-3}, {"record.signals": ["*", "!current.*"]}, {"record.inputs": True},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"master.stop_time": 0.06},
+        {"master.step": 5e-4},
+        {"master.algorithm": "jacobi"},
+        {"master.seed": 1},
+        {"components.controller.parameters": {"K_p": {"z": 90.0}}},
+        {"components.controller.step": 2e-3},
+        {"components.controller.fmu": "mfsosmc"},
+        {"connections.controller.nu": None, "components.controller.start": "fmu"},
+        {"record.every": 1e-3},
+        {"record.signals": ["*", "!current.*"]},
+        {"record.inputs": True},
+    ],
+)
 def test_the_run_id_changes_with_what_decides_the_numbers(resolve, spiral, changes):
     spiral["metrics"] = {}
     assert resolve(spiral).digest != resolve(merged(spiral, changes)).digest
@@ -457,8 +526,11 @@ def test_the_run_id_does_not_change_with_titles_metrics_and_names_of_files(resol
     before = resolve(spiral).digest
     spiral["components"]["controller"]["fmu"] = "copy.fmu"
     (tmp_path / "copy.fmu").write_bytes(shipped["pid"].read_bytes())
-    changes = {"title": "Another", "metrics": {}, "components.vehicle.parameters": {"eta_0": {
-        "x": 2.0, "y": -1.0, "z": 1, "phi": 0, "theta": 0, "psi": 0}}}  # fmt: skip
+    changes = {
+        "title": "Another",
+        "metrics": {},
+        "components.vehicle.parameters": {"eta_0": {"x": 2.0, "y": -1.0, "z": 1, "phi": 0, "theta": 0, "psi": 0}},
+    }
     assert resolve(merged(spiral, changes)).digest == before
 
 

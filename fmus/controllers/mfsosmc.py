@@ -23,8 +23,12 @@ class MFSOSMC(Controller):
     integral = State(Signal(ETA.axes, ("s",) * 6, "integral of sign(s_n)"))
     s_0 = State(Signal(ETA.axes, ETA_D_DOT.units, "s at the start"))
     K_d = Parameter(no_pitch(800.0), FORCE_PER_RATE, "gain of s_r (Table 5.1)", ETA.axes)
-    K_i = Parameter(no_pitch(5.0), linear_and_angular("m/s2", "rad/s2"),
-                    "gain of the integral; 5 (Table 5.1), fitted: 1 in a current", ETA.axes)  # fmt: skip
+    K_i = Parameter(
+        no_pitch(5.0),
+        linear_and_angular("m/s2", "rad/s2"),
+        "gain of the integral; 5 (Table 5.1), fitted: 1 in a current",
+        ETA.axes,
+    )
     kappa = Parameter(5.0, "1/s", "decay of s_d (Table 5.1)")
     alpha_0 = Parameter(1.01, "1", "gain of the time base (Table 5.1)")
     alpha_c = Parameter(25.0, "1/s", "gain after the time base (Table 5.1)")

@@ -100,9 +100,11 @@ def _model(source: pathlib.Path) -> type[Declared]:
     models = [
         value
         for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Declared) and value.__module__ == source.stem
+        if isinstance(value, type)
+        and issubclass(value, Declared)
+        and value.__module__ == source.stem
         and not getattr(value, "__abstractmethods__", None)
-    ]  # fmt: skip
+    ]
     if len(models) != 1:
         names = ", ".join(m.__name__ for m in models) or "none"
         raise ValueError(f"a model file defines one class derived from Model or PythonModel; this one has {names}")

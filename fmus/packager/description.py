@@ -27,13 +27,18 @@ def model_description(
     """The XML file.  `equations`: None for a plain Python model, whose dependencies nobody knows: then all count.
 
     sources: the C files to compile.
-    """  # fmt: skip
+    """
     scalars = model.layout().scalars
     index = {scalar.name: i for i, scalar in enumerate(scalars, start=1)}
     root = ET.Element(
-        "fmiModelDescription", fmiVersion="2.0", modelName=name, guid=guid, description=_summary(model),
-        generationTool=tool, variableNamingConvention="structured",
-    )  # fmt: skip
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=name,
+        guid=guid,
+        description=_summary(model),
+        generationTool=tool,
+        variableNamingConvention="structured",
+    )
     options = {option: str(value).lower() for option, value in capabilities.items()}
     slave = ET.SubElement(root, "CoSimulation", modelIdentifier=name, **options)
     if sources:
@@ -74,9 +79,12 @@ def _variable(scalar: Scalar) -> ET.Element:
     fixed = scalar.causality in ("parameter", "calculatedParameter")
     continuous = scalar.type is float
     element = ET.Element(
-        "ScalarVariable", name=scalar.name, valueReference=str(scalar.place), causality=scalar.causality,
+        "ScalarVariable",
+        name=scalar.name,
+        valueReference=str(scalar.place),
+        causality=scalar.causality,
         variability="fixed" if fixed else "continuous" if continuous else "discrete",
-    )  # fmt: skip
+    )
     if scalar.meaning:
         element.set("description", scalar.meaning)
     value: dict[str, Any] = {}

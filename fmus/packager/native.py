@@ -20,8 +20,14 @@ WRAPPER = pathlib.Path(__file__).parent / "fmi2.c"
 
 # Every operation rounds as CasADi's interpreter rounds it, so that both packagings give the same bits.
 FLAGS = (
-    "-std=c11", "-O3", "-shared", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden",
-)  # fmt: skip
+    "-std=c11",
+    "-O3",
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fvisibility=hidden",
+)
 CAPABILITIES = {
     "canHandleVariableCommunicationStepSize": True,
     "canGetAndSetFMUstate": True,
@@ -75,7 +81,7 @@ def build(
     """Write the FMU, with a library of each compiler, in `pool`; same input and compiler, same bytes.
 
     The result raises CompilerError.
-    """  # fmt: skip
+    """
     sources = {"fmi2.c": WRAPPER.read_bytes(), "equations.h": _equations(equations)}
     guid = digest_of({**sources, "class": repr(equations.layout.scalars).encode()})
     sources["model.h"] = _layout(equations, guid)
@@ -106,10 +112,12 @@ def _functions(equations: Equations) -> list[Any]:
     knowns = ca.vertcat(memory[parameters], memory[inputs])
     d_start = _change(start, knowns, ca.vertcat(direction[parameters], direction[inputs]))
     return [
-        equations.calculate, equations.initial, equations.step,
+        equations.calculate,
+        equations.initial,
+        equations.step,
         ca.Function("d_step", [memory, direction], [d_step]),
         ca.Function("d_start", [memory, direction], [d_start]),
-    ]  # fmt: skip
+    ]
 
 
 def _change(results: Any, knowns: Any, direction: Any) -> Any:
@@ -142,14 +150,22 @@ def _layout(equations: Equations, guid: str) -> bytes:
     lines = [
         f"#define GUID {json.dumps(guid)}",
         "enum {",
-        *(f"    {word} = {place}," for word, place in (
-            ("PARAMETERS", groups["parameter"].start), ("CALCULATED", groups["calculated"].start),
-            ("INPUTS", groups["input"].start), ("STATES", groups["state"].start),
-            ("OUTPUTS", groups["output"].start), ("SIZE", layout.size), ("ALL_REAL", int(all_real)))),
+        *(
+            f"    {word} = {place},"
+            for word, place in (
+                ("PARAMETERS", groups["parameter"].start),
+                ("CALCULATED", groups["calculated"].start),
+                ("INPUTS", groups["input"].start),
+                ("STATES", groups["state"].start),
+                ("OUTPUTS", groups["output"].start),
+                ("SIZE", layout.size),
+                ("ALL_REAL", int(all_real)),
+            )
+        ),
         "};",
         f"static const unsigned int PLACES[] = {{{', '.join(map(str, range(layout.size)))}}};",
         f"static const char TYPES[] = {json.dumps(kinds)};",
         f"static const double START[] = {{{', '.join(map(repr, layout.start()))}}};",
         f"static const char *const NAMES[] = {{{', '.join(map(json.dumps, names))}}};",
-    ]  # fmt: skip
+    ]
     return "\n".join([*lines, ""]).encode()

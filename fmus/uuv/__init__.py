@@ -1,7 +1,7 @@
 """What a model of an underwater vehicle, or of its controller, is written with.
 
-    from uuv import ETA, NU, TAU, Input, Model, Output, Parameter, State    # equations in CasADi
-    from uuv import PythonModel                                             # plain Python and numpy
+from uuv import ETA, NU, TAU, Input, Model, Output, Parameter, State    # equations in CasADi
+from uuv import PythonModel                                             # plain Python and numpy
 """
 
 from .model import Calculated, Group, Input, Model, Output, Parameter, State
@@ -9,6 +9,22 @@ from .python_model import PythonModel
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, SPECIFIC_FORCE, TAU, V_C, Signal, U
 
 __all__ = [
-    "ETA", "ETA_D", "ETA_D_DDOT", "ETA_D_DOT", "NU", "SPECIFIC_FORCE", "TAU", "V_C", "Calculated", "Group", "Input",
-    "Model", "Output", "Parameter", "PythonModel", "Signal", "State", "U",
-]  # fmt: skip
+    "ETA",
+    "ETA_D",
+    "ETA_D_DDOT",
+    "ETA_D_DOT",
+    "NU",
+    "SPECIFIC_FORCE",
+    "TAU",
+    "V_C",
+    "Calculated",
+    "Group",
+    "Input",
+    "Model",
+    "Output",
+    "Parameter",
+    "PythonModel",
+    "Signal",
+    "State",
+    "U",
+]

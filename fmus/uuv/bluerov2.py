@@ -45,7 +45,10 @@ class BlueROV2Thrusters:
 
     gamma = Parameter(0.7853981633974483, "rad", "angle of the horizontal thrusters to the x axis: 45 degrees")
     d_y = Parameter(0.115, "m", "lever of the vertical thrusters about x (Table 4.5)")
-    d_psi = Parameter(0.3536, "m", "lever of the horizontal thrusters about z; fitted to Tables 5.4 and 5.7, "
-                      "twice what follows from Table 4.5")  # fmt: skip
+    d_psi = Parameter(
+        0.3536,
+        "m",
+        "lever of the horizontal thrusters about z; fitted to Tables 5.4 and 5.7, twice what follows from Table 4.5",
+    )
     max_thrust = Parameter(40.0, "N", "thrust of one thruster at full command (Eq. 4.11: T200 at 16 V)")
     T = Calculated((6, 6), "1", "thruster matrix: tau = max_thrust T u; rows X Y Z K M N, rows K and N in m")

@@ -61,10 +61,14 @@ class Variable:
         units = (self.signal.units,) * self.size if isinstance(self.signal.units, str) else self.signal.units
         for i, (suffix, unit, start) in enumerate(zip(self._suffixes(), units, self.start, strict=True)):
             yield Scalar(
-                self.name + suffix, place + i, self.causality, unit, start,
+                self.name + suffix,
+                place + i,
+                self.causality,
+                unit,
+                start,
                 f"{suffix.lstrip('.')}: {self.signal.meaning}" if suffix.startswith(".") else self.signal.meaning,
                 self.type,
-            )  # fmt: skip
+            )
 
     def _suffixes(self) -> list[str]:
         if self.signal.axes:

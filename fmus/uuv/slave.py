@@ -120,9 +120,11 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
-            "memory": self.memory.tobytes(), "own": self._core.own_state(),
-            "initializing": self._initializing, "stale": self._stale,
-        }  # fmt: skip
+            "memory": self.memory.tobytes(),
+            "own": self._core.own_state(),
+            "initializing": self._initializing,
+            "stale": self._stale,
+        }
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         self.memory[:] = np.frombuffer(state["memory"])

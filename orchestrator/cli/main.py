@@ -71,8 +71,14 @@ class _Group(click.Group):
   orch plot last
 """,
 )
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=lambda *args: _version(*args),
-              help="Show the version, and which loop runs.")  # fmt: skip
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=lambda *args: _version(*args),
+    help="Show the version, and which loop runs.",
+)
 def orch() -> None:
     """Co-simulate underwater vehicles and their controllers, each one an FMU."""
 
@@ -86,8 +92,18 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 
 
 COMMANDS = (
-    run, rerun, models, records, store, compare, export, exchange, report, studies, sweep,
-)  # fmt: skip
+    run,
+    rerun,
+    models,
+    records,
+    store,
+    compare,
+    export,
+    exchange,
+    report,
+    studies,
+    sweep,
+)
 
 for module in COMMANDS:
     for command in vars(module).values():

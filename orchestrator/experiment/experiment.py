@@ -189,7 +189,11 @@ class _Reader:
         return note + (f"; dropped its parameters {names}" if names else "")
 
     def experiment(
-        self, path: Path, text: str, table: dict[str, Any], notes: tuple[str, ...],
+        self,
+        path: Path,
+        text: str,
+        table: dict[str, Any],
+        notes: tuple[str, ...],
         changes: Mapping[str, Mapping[str, Any]],
     ) -> Experiment:
         sections = ("title", "master", "components", "connections", "record", "metrics", "mavlink", "sweep")
@@ -199,11 +203,20 @@ class _Reader:
         if not components:
             self.problem("components", "the experiment has none; add [components.NAME] with an fmu")
         return Experiment(
-            path, text, self.typed(table, "title", "", str, path.stem), master, components,
-            self.connections(self.table(table, "connections")), self.record(self.table(table, "record"), master),
-            self.tables(table, "metrics"), self.table(table, "mavlink"), self.table(table, "sweep"),
-            tuple(self.problems), notes, changes,
-        )  # fmt: skip
+            path,
+            text,
+            self.typed(table, "title", "", str, path.stem),
+            master,
+            components,
+            self.connections(self.table(table, "connections")),
+            self.record(self.table(table, "record"), master),
+            self.tables(table, "metrics"),
+            self.table(table, "mavlink"),
+            self.table(table, "sweep"),
+            tuple(self.problems),
+            notes,
+            changes,
+        )
 
     def master(self, table: dict[str, Any]) -> Master:
         self.known(table, ("stop_time", "step", "algorithm", "seed"), "master")
@@ -249,10 +262,19 @@ class _Reader:
             timeout = self.seconds(entry, "timeout", key, 1.0) if "timeout" in entry else None
             if timeout is not None and isolation == "none":
                 self.problem(f"{key}.timeout", 'can be kept only in a process of its own; take isolation = "process"')
-            found.append(Component(
-                name, self.typed(entry, "fmu", key, str, ""), self.table(entry, "parameters", key), start, step,
-                isolation, timeout, self.typed(entry, "builtin", key, str, ""), name in swapped,
-            ))  # fmt: skip
+            found.append(
+                Component(
+                    name,
+                    self.typed(entry, "fmu", key, str, ""),
+                    self.table(entry, "parameters", key),
+                    start,
+                    step,
+                    isolation,
+                    timeout,
+                    self.typed(entry, "builtin", key, str, ""),
+                    name in swapped,
+                )
+            )
         return tuple(found)
 
     def connections(self, table: dict[str, Any]) -> dict[str, Connection]:
@@ -264,9 +286,11 @@ class _Reader:
             elif isinstance(source, dict) and "from" in source:
                 self.known(source, ("from", "gain", "offset", "unit_check"), key)
                 found[sink] = Connection(
-                    self.typed(source, "from", key, str, ""), self.number(source, "gain", key),
-                    self.number(source, "offset", key), self.typed(source, "unit_check", key, bool, True),
-                )  # fmt: skip
+                    self.typed(source, "from", key, str, ""),
+                    self.number(source, "gain", key),
+                    self.number(source, "offset", key),
+                    self.typed(source, "unit_check", key, bool, True),
+                )
             else:
                 hint = '; write the key in quotes: "controller.eta" = "vehicle.eta"' if isinstance(source, dict) else ""
                 self.problem(key, f"is {source!r}, not the name of an output{hint}")
@@ -284,8 +308,10 @@ class _Reader:
         every = self.seconds(table, "every", "record", master.step)
         self.multiple(every, master.step, "record.every")
         if Grid(every).ticks(master.stop_time) is None and Grid(master.step).ticks(every) is not None:
-            self.problem("record.every", f"{every} s does not divide master.stop_time = {master.stop_time} s: "
-                         "the last row would be missing")  # fmt: skip
+            self.problem(
+                "record.every",
+                f"{every} s does not divide master.stop_time = {master.stop_time} s: the last row would be missing",
+            )
         signals = table.get("signals", ["*"])
         if not (isinstance(signals, list) and all(isinstance(s, str) for s in signals)):
             self.problem("record.signals", f'is {signals!r}; give a list of globs, such as ["vehicle*", "!*.nu.*"]')

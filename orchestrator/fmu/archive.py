@@ -30,8 +30,16 @@ DIRECTORY_ENTRY = b"PK\1\2"
 # Windows writes to a device where a file is so called, whatever the suffix.
 DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?$")
 # What zipfile raises at damaged, encrypted and oddly compressed members.
-DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, NotImplementedError, EOFError, ValueError,
-           OverflowError)  # fmt: skip
+DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    RuntimeError,
+    NotImplementedError,
+    EOFError,
+    ValueError,
+    OverflowError,
+)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,16 @@ from ..errors import FmuError, did_you_mean
 
 SHOWN = 8  # faults that a message names
 REFERENCES = 1 << 32
-CAUSALITIES = ("parameter", "calculatedParameter", "input", "output", "local", "independent", "structuralParameter",
-               "dependent")  # fmt: skip
+CAUSALITIES = (
+    "parameter",
+    "calculatedParameter",
+    "input",
+    "output",
+    "local",
+    "independent",
+    "structuralParameter",
+    "dependent",
+)
 VARIABILITIES = ("constant", "fixed", "tunable", "discrete", "continuous")
 FLOATS = ("Real", "Float32", "Float64")
 BOOLEANS = ("true", "false", "1", "0")

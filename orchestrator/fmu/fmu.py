@@ -22,8 +22,13 @@ from .units import Unit
 from .variables import Variable, split_axis
 
 DESCRIPTION = "modelDescription.xml"
-CAPABILITIES = ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative", "needsExecutionTool",
-                "hasEventMode")  # fmt: skip
+CAPABILITIES = (
+    "canGetAndSetFMUstate",
+    "canSerializeFMUstate",
+    "providesDirectionalDerivative",
+    "needsExecutionTool",
+    "hasEventMode",
+)
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 
 
@@ -120,22 +125,33 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         raise FmuError(f"{path} is FMI {version}; orch runs FMI 2.0 and 3.0")
     slave = description.coSimulation
     if slave is None:
-        raise FmuError(f"{path} has no co-simulation interface, only {_interfaces(description)}; "
-                       "export it for Co-Simulation")  # fmt: skip
+        raise FmuError(
+            f"{path} has no co-simulation interface, only {_interfaces(description)}; export it for Co-Simulation"
+        )
     _check_binary(path, names, slave.modelIdentifier, int(version[0]))
     try:
         found = {variable.name: variable for variable in variables.read(description, structure or {})}
     except ValueError as error:
         raise FmuError(f"{path}: {error}") from None
     return Fmu(
-        path, sha256, version, description.modelName, description.description or "",
-        description.guid or description.instantiationToken, slave.modelIdentifier, description.generationTool or "",
+        path,
+        sha256,
+        version,
+        description.modelName,
+        description.description or "",
+        description.guid or description.instantiationToken,
+        slave.modelIdentifier,
+        description.generationTool or "",
         "python" if "resources/slavemodule.txt" in names else "native",
         bool(slave.canBeInstantiatedOnlyOncePerProcess),
-        {name: bool(getattr(slave, name)) for name in CAPABILITIES}, found, units.defined(description), modules, text,
+        {name: bool(getattr(slave, name)) for name in CAPABILITIES},
+        found,
+        units.defined(description),
+        modules,
+        text,
         _initial_dependencies(description),
         float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
-    )  # fmt: skip
+    )
 
 
 def unpack(fmu: Fmu, folder: Path) -> None:

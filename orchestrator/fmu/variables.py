@@ -12,10 +12,21 @@ import numpy as np
 
 # Kinds of values, each with a table of its own in a running system: how they lie in memory.
 DTYPES: dict[str, Any] = {
-    "real": np.float64, "integer": np.int32, "boolean": np.int32, "float32": np.float32,
-    "int8": np.int8, "uint8": np.uint8, "int16": np.int16, "uint16": np.uint16, "uint32": np.uint32,
-    "int64": np.int64, "uint64": np.uint64, "truth": np.bool_, "string": object, "binary": object,
-}  # fmt: skip
+    "real": np.float64,
+    "integer": np.int32,
+    "boolean": np.int32,
+    "float32": np.float32,
+    "int8": np.int8,
+    "uint8": np.uint8,
+    "int16": np.int16,
+    "uint16": np.uint16,
+    "uint32": np.uint32,
+    "int64": np.int64,
+    "uint64": np.uint64,
+    "truth": np.bool_,
+    "string": object,
+    "binary": object,
+}
 KINDS = tuple(DTYPES)
 OBJECTS = ("string", "binary")
 NUMBERS = tuple(kind for kind in KINDS if kind not in OBJECTS)
@@ -26,10 +37,23 @@ WHOLE = tuple(kind for kind in NUMBERS if kind not in (*FLOATS, *TRUTHS))
 # FMI's types, by version: the kind they are, and what the getters and setters call them.
 TYPES = {
     2: {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"},
-    3: {"Float64": "real", "Float32": "float32", "Int8": "int8", "UInt8": "uint8", "Int16": "int16",
-        "UInt16": "uint16", "Int32": "integer", "UInt32": "uint32", "Int64": "int64", "UInt64": "uint64",
-        "Boolean": "truth", "Enumeration": "int64", "String": "string", "Binary": "binary"},
-}  # fmt: skip
+    3: {
+        "Float64": "real",
+        "Float32": "float32",
+        "Int8": "int8",
+        "UInt8": "uint8",
+        "Int16": "int16",
+        "UInt16": "uint16",
+        "Int32": "integer",
+        "UInt32": "uint32",
+        "Int64": "int64",
+        "UInt64": "uint64",
+        "Boolean": "truth",
+        "Enumeration": "int64",
+        "String": "string",
+        "Binary": "binary",
+    },
+}
 ACCESSORS = {
     version: {kind: name for name, kind in types.items() if name != "Enumeration"} for version, types in TYPES.items()
 }
@@ -96,11 +120,19 @@ def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
             names = inputs if dependencies is None else [d.name for d in dependencies if d.causality == "input"]
             depends = None if dependencies is None and inputs else tuple(names)
         whole = Variable(
-            v.name, v.valueReference, v.type, TYPES[version][v.type], v.causality or "local",
-            v.unit or (declared.unit if declared is not None else None) or "", v.start, v.description or "", depends,
+            v.name,
+            v.valueReference,
+            v.type,
+            TYPES[version][v.type],
+            v.causality or "local",
+            v.unit or (declared.unit if declared is not None else None) or "",
+            v.start,
+            v.description or "",
+            depends,
             tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
-            (_limit(v, "min", -math.inf), _limit(v, "max", math.inf)), fixed=v.variability == "constant",
-        )  # fmt: skip
+            (_limit(v, "min", -math.inf), _limit(v, "max", math.inf)),
+            fixed=v.variability == "constant",
+        )
         yield from _elements(whole, v, structure) if v.dimensions else (whole,)
 
 
@@ -115,9 +147,21 @@ def _elements(whole: Variable, v: Any, structure: Mapping[str, int]) -> Iterator
         start = starts[k] if k < len(starts) else starts[0] if len(starts) == 1 else None
         name = f"{whole.name}[{','.join(map(str, place))}]"
         yield Variable(
-            name, whole.reference, whole.type, whole.kind, whole.causality, whole.unit, start, whole.description,
-            whole.depends, whole.items, whole.limits, shape, k, whole.fixed,
-        )  # fmt: skip
+            name,
+            whole.reference,
+            whole.type,
+            whole.kind,
+            whole.causality,
+            whole.unit,
+            start,
+            whole.description,
+            whole.depends,
+            whole.items,
+            whole.limits,
+            shape,
+            k,
+            whole.fixed,
+        )
 
 
 def _limit(variable: Any, which: str, otherwise: float) -> float:

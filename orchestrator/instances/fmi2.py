@@ -2,6 +2,7 @@
 
 `instance3` is the same for FMI 3.0, `remote` for an instance in another process, `builtin` for what is no FMU.
 """
+
 from __future__ import annotations
 
 import atexit
@@ -95,8 +96,9 @@ class Instance:
         resources = (library.folder / "resources").as_uri().encode()
         instantiate = self.function("fmi2Instantiate")
         instantiate.restype = ctypes.c_void_p
-        return instantiate(self.name.encode(), CO_SIMULATION, self.fmu.guid.encode(), resources,
-                           ctypes.byref(self._callbacks), 0, 1)  # fmt: skip
+        return instantiate(
+            self.name.encode(), CO_SIMULATION, self.fmu.guid.encode(), resources, ctypes.byref(self._callbacks), 0, 1
+        )
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call an FMI function of this instance, without its prefix.  Raises CallFailed."""
@@ -119,8 +121,14 @@ class Instance:
         self.call("EnterInitializationMode")
 
     def _set_up_experiment(self, start_time: float, stop_time: float | None) -> None:
-        self.call("SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(start_time), int(stop_time is not None),
-                  ctypes.c_double(stop_time or 0.0))  # fmt: skip
+        self.call(
+            "SetupExperiment",
+            0,
+            ctypes.c_double(0.0),
+            ctypes.c_double(start_time),
+            int(stop_time is not None),
+            ctypes.c_double(stop_time or 0.0),
+        )
 
     def begin(self) -> None:
         """Leave initialization mode: steps may follow.  Raises CallFailed."""
@@ -174,9 +182,11 @@ class Instance:
         verb: "Get" or "Set"; references: (n,) uint32; buffer: the values, which must stay where they are.
         """
         call = partial(
-            self.function(self.accessor(verb, kind)), ctypes.c_void_p(self.component),
-            references.ctypes.data_as(ctypes.c_void_p), ctypes.c_size_t(len(references)),
-        )  # fmt: skip
+            self.function(self.accessor(verb, kind)),
+            ctypes.c_void_p(self.component),
+            references.ctypes.data_as(ctypes.c_void_p),
+            ctypes.c_size_t(len(references)),
+        )
         if kind == "string":
             return partial(exchange_strings, call, verb == "Get", buffer, (ctypes.c_char_p * len(buffer))(), ())
         return partial(call, buffer.ctypes.data_as(ctypes.c_void_p))
@@ -232,8 +242,9 @@ class Instance:
     def has_reached(self, end: float) -> bool:
         """After a discarded step: whether it led to its end [s] all the same."""
         reached = ctypes.c_double(math.nan)
-        status = self._function("GetRealStatus")(ctypes.c_void_p(self.component), LAST_SUCCESSFUL_TIME,
-                                                 ctypes.byref(reached))  # fmt: skip
+        status = self._function("GetRealStatus")(
+            ctypes.c_void_p(self.component), LAST_SUCCESSFUL_TIME, ctypes.byref(reached)
+        )
         return status <= WARNING and math.isclose(reached.value, end, rel_tol=1e-9)
 
     def close(self) -> None:

@@ -43,9 +43,20 @@ class Instance3(Instance):
         event_mode = BOOL(self._event_mode)
         instantiate = self.function("fmi3InstantiateCoSimulation")
         instantiate.restype = ctypes.c_void_p
-        return instantiate(self.name.encode(), self.fmu.guid.encode(), resources.encode(), BOOL(False), BOOL(True),
-                           event_mode, event_mode, None, ctypes.c_size_t(0), ctypes.c_void_p(self._environment),
-                           self._logger, None)  # fmt: skip
+        return instantiate(
+            self.name.encode(),
+            self.fmu.guid.encode(),
+            resources.encode(),
+            BOOL(False),
+            BOOL(True),
+            event_mode,
+            event_mode,
+            None,
+            ctypes.c_size_t(0),
+            ctypes.c_void_p(self._environment),
+            self._logger,
+            None,
+        )
 
     def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
         structure = {n: v for n, v in values.items() if self.fmu.variables[n].causality == "structuralParameter"}
@@ -54,8 +65,14 @@ class Instance3(Instance):
             self.assign(structure)
             self.call("ExitConfigurationMode")
         self.assign({name: value for name, value in values.items() if name not in structure})
-        self.call("EnterInitializationMode", BOOL(False), ctypes.c_double(0.0), ctypes.c_double(start_time),
-                  BOOL(stop_time is not None), ctypes.c_double(stop_time or 0.0))  # fmt: skip
+        self.call(
+            "EnterInitializationMode",
+            BOOL(False),
+            ctypes.c_double(0.0),
+            ctypes.c_double(start_time),
+            BOOL(stop_time is not None),
+            ctypes.c_double(stop_time or 0.0),
+        )
 
     def begin(self) -> None:
         super().begin()
@@ -64,9 +81,11 @@ class Instance3(Instance):
 
     def exchange(self, verb: str, kind: str, references: Any, buffer: Any) -> Callable[[], Any]:
         call = partial(
-            self.function(self.accessor(verb, kind)), ctypes.c_void_p(self.component),
-            references.ctypes.data_as(ctypes.c_void_p), ctypes.c_size_t(len(references)),
-        )  # fmt: skip
+            self.function(self.accessor(verb, kind)),
+            ctypes.c_void_p(self.component),
+            references.ctypes.data_as(ctypes.c_void_p),
+            ctypes.c_size_t(len(references)),
+        )
         n = ctypes.c_size_t(len(buffer))
         if kind == "string":
             return partial(exchange_strings, call, verb == "Get", buffer, (ctypes.c_char_p * len(buffer))(), (n,))
@@ -97,10 +116,18 @@ class Instance3(Instance):
 
     def _step(self, t: Any, h: float) -> int:
         answers = self._answers.ctypes.data
-        status = int(self._function("DoStep")(
-            ctypes.c_void_p(self.component), t, ctypes.c_double(h), BOOL(True), ctypes.c_void_p(answers),
-            ctypes.c_void_p(answers + 1), ctypes.c_void_p(answers + 2), ctypes.c_void_p(self._reached.ctypes.data),
-        ))  # fmt: skip
+        status = int(
+            self._function("DoStep")(
+                ctypes.c_void_p(self.component),
+                t,
+                ctypes.c_double(h),
+                BOOL(True),
+                ctypes.c_void_p(answers),
+                ctypes.c_void_p(answers + 1),
+                ctypes.c_void_p(answers + 2),
+                ctypes.c_void_p(self._reached.ctypes.data),
+            )
+        )
         if status <= WARNING and self._answers[1]:
             return DISCARD
         if status <= WARNING and self._answers[2] and not self._event_mode:

@@ -61,7 +61,7 @@ class Remote(Instance):
 
     def __init__(
         self, name: str, fmu: Fmu, folder: Path, timeout: float | None, spin: bool, interrupted: Callable[[], bool]
-    ):  # fmt: skip
+    ):
         if not hasattr(os, "fork"):
             raise FmuError(f"{name!r} cannot run in a process of its own on this system; only POSIX has what it takes")
         self.name, self.fmu = name, fmu
@@ -93,11 +93,18 @@ class Remote(Instance):
             descriptors = [there.fileno(), wake_child.fileno(), file.fileno()]
             environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "orchestrator.instances.isolated_child",
-                 *map(str, [*descriptors, self._looks, os.getpid()])],
-                stdin=subprocess.DEVNULL, stdout=2, pass_fds=descriptors, env=environment,
+                [
+                    sys.executable,
+                    "-m",
+                    "orchestrator.instances.isolated_child",
+                    *map(str, [*descriptors, self._looks, os.getpid()]),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=2,
+                pass_fds=descriptors,
+                env=environment,
                 start_new_session=True,  # Ctrl-C is for this process, not for that one
-            )  # fmt: skip
+            )
         self._connection = Connection(here.detach())
         self._counters, self._numbers = words_of(self._memory), numbers_of(self._memory)
         self._poll = select.poll()

@@ -55,10 +55,23 @@ def describe(name: str) -> Fmu:
     """A builtin as if it were an FMU.  Raises FmuError where there is none of that name."""
     variables = _load(name).variables()
     return Fmu(
-        Path(name), hashlib.sha256(f"builtin:{name}".encode()).hexdigest(), "2.0", name,
-        (_load(name).__doc__ or "").partition("\n")[0], "", name, "orch", "builtin", False, {},
-        {v.name: v for v in variables}, {}, {}, "", {},
-    )  # fmt: skip
+        Path(name),
+        hashlib.sha256(f"builtin:{name}".encode()).hexdigest(),
+        "2.0",
+        name,
+        (_load(name).__doc__ or "").partition("\n")[0],
+        "",
+        name,
+        "orch",
+        "builtin",
+        False,
+        {},
+        {v.name: v for v in variables},
+        {},
+        {},
+        "",
+        {},
+    )
 
 
 def _load(name: str) -> type[Builtin]:

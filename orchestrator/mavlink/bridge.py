@@ -49,8 +49,14 @@ class Bridge(Watcher):
     Raises OrchError where an endpoint cannot be opened or a vehicle cannot be shown.
     """
 
-    def __init__(self, plan: Plan, endpoints: Sequence[Endpoint], key: bytes | None = None,
-                 controls: Mapping[str, Control] | None = None, due: Callable[[int], float] = at_once):  # fmt: skip
+    def __init__(
+        self,
+        plan: Plan,
+        endpoints: Sequence[Endpoint],
+        key: bytes | None = None,
+        controls: Mapping[str, Control] | None = None,
+        due: Callable[[int], float] = at_once,
+    ):
         self.counts: Counter[str] = Counter()
         self._key = key
         self.autopilots: list[Autopilot] = fleet(plan, controls or {}, [e for e in endpoints if e.system is not None])

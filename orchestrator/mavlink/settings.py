@@ -14,8 +14,15 @@ from .vehicle.frame import PWM_MAPS
 BODY = ("u", "v", "w", "p", "q", "r")
 AXES = ("x", "y", "z", "phi", "theta", "psi")
 KEYS = ("vehicles", "origin", "pwm_map", "rates")
-STREAMS = {"RAW_SENS": 2.0, "EXT_STAT": 2.0, "RC_CHAN": 2.0, "POSITION": 3.0, "EXTRA1": 10.0, "EXTRA2": 10.0,
-           "EXTRA3": 3.0}  # Hz; ArduSub's own, GCS_MAVLink_Parameters.cpp  # fmt: skip
+STREAMS = {
+    "RAW_SENS": 2.0,
+    "EXT_STAT": 2.0,
+    "RC_CHAN": 2.0,
+    "POSITION": 3.0,
+    "EXTRA1": 10.0,
+    "EXTRA2": 10.0,
+    "EXTRA3": 3.0,
+}  # Hz; ArduSub's own, GCS_MAVLink_Parameters.cpp
 ORIGIN = (44.65, -124.05)  # degrees; off Newport, Oregon
 LAST_SYSTEM = 250  # those above are ground stations'
 
@@ -52,8 +59,7 @@ def settings_of(plan: Plan) -> Settings:
     table, vehicles = plan.experiment.mavlink, vehicles_of(plan.parts)
     found = problems(table, [part.name for part in plan.parts], vehicles)
     if not found and not vehicles:
-        found = [Problem("mavlink", "no component is a vehicle: none puts out eta.x to eta.psi and nu.u to "
-                         "nu.r")]  # fmt: skip
+        found = [Problem("mavlink", "no component is a vehicle: none puts out eta.x to eta.psi and nu.u to nu.r")]
     if found:
         raise ExperimentError(plan.experiment.path, found)
     return settings_from(table, vehicles)
@@ -64,9 +70,11 @@ def settings_from(table: Mapping[str, Any], vehicles: Iterable[str]) -> Settings
     chosen = dict(table.get("vehicles", {})) or {name: i for i, name in enumerate(vehicles, 1)}
     origin = table.get("origin", dict(zip(("lat", "lon"), ORIGIN, strict=True)))
     return Settings(
-        chosen, (float(origin["lat"]), float(origin["lon"])), table.get("pwm_map", "linear"),
+        chosen,
+        (float(origin["lat"]), float(origin["lon"])),
+        table.get("pwm_map", "linear"),
         STREAMS | {name: float(rate) for name, rate in table.get("rates", {}).items()},
-    )  # fmt: skip
+    )
 
 
 class _Checker:

@@ -105,8 +105,10 @@ def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpo
     for endpoint in endpoints:
         if endpoint.system not in settings.vehicles.values():
             known = [str(system) for system in settings.vehicles.values()]
-            raise OrchError(f"--mavlink {endpoint.text}: no vehicle has the system id {endpoint.system}"
-                            f"{did_you_mean(str(endpoint.system), known, 'ids')}")  # fmt: skip
+            raise OrchError(
+                f"--mavlink {endpoint.text}: no vehicle has the system id {endpoint.system}"
+                f"{did_you_mean(str(endpoint.system), known, 'ids')}"
+            )
     parts = {part.name: part for part in plan.parts}
     return [
         _autopilot(plan, parts[name], system, settings, controls.get(name))
@@ -119,9 +121,14 @@ def _autopilot(plan: Plan, part: Part, system: int, settings: Settings, control:
     own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
     guided = bool(_vectors(plan, part.name)["eta_d"].signals)
     autopilot = Autopilot(
-        system, part.name, Parameters(system, settings.rates, own), settings.origin, frame, control,
+        system,
+        part.name,
+        Parameters(system, settings.rates, own),
+        settings.origin,
+        frame,
+        control,
         mode=MODES["POSHOLD" if control else "GUIDED" if guided else "MANUAL"],
-    )  # fmt: skip
+    )
     if control:
         control.armed, control.guided = autopilot.armed, False
     return autopilot
@@ -156,12 +163,14 @@ def _vectors(plan: Plan, component: str) -> dict[str, _Vector]:
     commands = [v for v in part.fmu.lookup("u").values() if v.causality == "input" and v.kind == "real"]
     guide = _guide(plan, component)
     return {
-        "eta": _outputs(part, "eta", AXES), "nu": _outputs(part, "nu", BODY),
+        "eta": _outputs(part, "eta", AXES),
+        "nu": _outputs(part, "nu", BODY),
         "specific_force": _outputs(part, "specific_force", FORCE),
         "u": _arriving(plan, part, commands),
-        "eta_d": _arriving(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in AXES]) if guide
+        "eta_d": _arriving(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in AXES])
+        if guide
         else _Vector(values=[np.nan] * 6),
-    }  # fmt: skip
+    }
 
 
 def _outputs(part: Part, vector: str, axes: Sequence[str]) -> _Vector:

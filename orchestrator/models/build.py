@@ -194,11 +194,18 @@ def _package(
     sources: dict[str, Path], packaging: str, compiler: Compiler | None, told: Callable[[str], None]
 ) -> dict[str, Path]:
     """Build, and stamp what was built.  A compiler that fails is done without, unless native FMUs are demanded."""
-    answers = _ask(sources, [
-        _request(source, target(name, "native") if compiler else None,
-                 target(name, "python") if packaging != "native" else None, [compiler] if compiler else [])
-        for name, source in sources.items()
-    ])  # fmt: skip
+    answers = _ask(
+        sources,
+        [
+            _request(
+                source,
+                target(name, "native") if compiler else None,
+                target(name, "python") if packaging != "native" else None,
+                [compiler] if compiler else [],
+            )
+            for name, source in sources.items()
+        ],
+    )
     failed = {name: answer["error"] for name, answer in answers.items() if answer.get("compiler")}
     if failed and packaging == "auto":
         _expect_python_fmus(failed)
@@ -210,10 +217,13 @@ def _package(
             path = Path(answer["target"])
             native = compiler if path == target(name, "native") else None
             stamp = {
-                "fmu": _version(path), "source": str(sources[name]), "sources": answer["sources"],
-                "tools": _tools(native), "plain": answer["plain"],
+                "fmu": _version(path),
+                "source": str(sources[name]),
+                "sources": answer["sources"],
+                "tools": _tools(native),
+                "plain": answer["plain"],
                 "despite": compiler.identity if compiler and name in failed else "",
-            }  # fmt: skip
+            }
             _stamp(path).write_text(json.dumps(stamp, indent=1))
     _raise_problems(sources, answers)
     return {name: Path(answer["target"]) for name, answer in answers.items()}
@@ -228,9 +238,11 @@ def _raise_problems(sources: dict[str, Path], answers: Mapping[str, Any]) -> Non
 def _request(source: Path, native: Path | None, python: Path | None, found: Sequence[Compiler]) -> dict[str, Any]:
     """What the packager is asked; see its __main__."""
     return {
-        "source": str(source), "native": native and str(native), "python": python and str(python),
+        "source": str(source),
+        "native": native and str(native),
+        "python": python and str(python),
         "compilers": [{"command": compiler.command, "folder": compiler.folder} for compiler in found],
-    }  # fmt: skip
+    }
 
 
 def _ask(sources: dict[str, Path], requests: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -246,9 +258,13 @@ def _ask(sources: dict[str, Path], requests: Sequence[Mapping[str, Any]]) -> dic
     # Without bytecode files: the sources' folder may be shared or not writable.
     environment = {**os.environ, "PYTHONPATH": str(models_folder()), "PYTHONDONTWRITEBYTECODE": "1"}
     process = subprocess.run(
-        [sys.executable, "-m", "packager"], input="".join(json.dumps(request) + "\n" for request in requests),
-        capture_output=True, text=True, env=environment, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "packager"],
+        input="".join(json.dumps(request) + "\n" for request in requests),
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
     answers = {answer["source"]: answer for answer in map(json.loads, process.stdout.splitlines())}
     last_words = process.stderr.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
     stopped = {"error": f"the build stopped: {last_words[0]}"}

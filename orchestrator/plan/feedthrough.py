@@ -41,9 +41,7 @@ def dependencies(plan: Plan, initial: bool = False) -> Graph:
         depends = output.depends
         if initial and output.array in part.fmu.initial_dependencies:
             depends = part.fmu.initial_dependencies[output.array]
-        graph[port] = [
-            (part.name, v.name) for v in inputs.get(part.name, []) if depends is None or v.array in depends
-        ]
+        graph[port] = [(part.name, v.name) for v in inputs.get(part.name, []) if depends is None or v.array in depends]
     return graph
 
 
@@ -57,10 +55,11 @@ def cycles(plan: Plan, initial: bool = False) -> list[Cycle]:
         if len(ports) > 1 or ports[0] in graph.get(ports[0], []):
             within = frozenset(ports)
             delayed = tuple(
-                link for link in plan.links
+                link
+                for link in plan.links
                 if {(link.sink, link.input.name), (link.source, link.output.name)} <= within
                 and (jacobi or order[link.source] >= order[link.sink])
-            )  # fmt: skip
+            )
             found.append(Cycle(_path(graph, within), within, delayed))
     return found
 

@@ -123,17 +123,27 @@ class Plan:
         master, record = self.experiment.master, self.experiment.record
         found: dict[str, Any] = {
             "title": self.experiment.title,
-            "master": {"stop_time": master.stop_time, "step": master.step, "algorithm": master.algorithm,
-                       "seed": master.seed},
+            "master": {
+                "stop_time": master.stop_time,
+                "step": master.step,
+                "algorithm": master.algorithm,
+                "seed": master.seed,
+            },
             "components": [
-                {"name": p.name, "fmu": p.fmu_name, "fmu_sha256": p.fmu.sha256, "period": p.period,
-                 "parameters": dict(sorted(p.parameters.items())), "start": dict(sorted(p.start.items()))}
+                {
+                    "name": p.name,
+                    "fmu": p.fmu_name,
+                    "fmu_sha256": p.fmu.sha256,
+                    "period": p.period,
+                    "parameters": dict(sorted(p.parameters.items())),
+                    "start": dict(sorted(p.start.items())),
+                }
                 for p in self.parts
             ],
             "connections": sorted(link.ends for link in self.links),
             "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
-        }  # fmt: skip
+        }
         if self.created:
             found["created"] = self.created
         if self.origin:

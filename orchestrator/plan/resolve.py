@@ -41,9 +41,7 @@ def resolve(
 
 
 class _Resolver:
-    def __init__(
-        self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader
-    ):  # fmt: skip
+    def __init__(self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader):
         self.experiment, self.built, self.unbuilt, self.read = experiment, built, unbuilt, reader
         self.problems = list(experiment.problems)
         self.notes = list(experiment.notes)
@@ -90,9 +88,10 @@ class _Resolver:
                 fmu = files.get((path, "")) or self.read(path)
                 files[path, ""] = fmu
                 structure = {
-                    n: v for n, v in component.parameters.items()
+                    n: v
+                    for n, v in component.parameters.items()
                     if n in fmu.variables and fmu.variables[n].causality == "structuralParameter" and type(v) is int
-                }  # fmt: skip
+                }
                 key = path, repr(structure or "")
                 files[key] = files.get(key) or (self.read(path, structure) if structure else fmu)
                 self.fmus[component.name] = files[key]
@@ -134,9 +133,12 @@ class _Resolver:
         parameters = self.values(component, "parameters", component.parameters)
         seed = fmu.variables.get("seed")
         if (
-            self.experiment.master.seed is not None and seed is not None and "seed" not in parameters
-            and seed.causality == "parameter" and seed.kind in WHOLE
-        ):  # fmt: skip
+            self.experiment.master.seed is not None
+            and seed is not None
+            and "seed" not in parameters
+            and seed.causality == "parameter"
+            and seed.kind in WHOLE
+        ):
             text = f"{self.experiment.master.seed}/{component.name}"
             bits = min(32, np.iinfo(DTYPES[seed.kind]).bits)
             number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
@@ -151,8 +153,17 @@ class _Resolver:
             start = self.values(component, "start", table)
         grid = self.experiment.grid
         period = grid.ticks(component.step) if component.step is not None else 1
-        return Part(component.name, component.fmu or component.builtin, fmu, period or 1, parameters, start,
-                    component.name in self.isolated, bool(component.builtin), component.timeout)  # fmt: skip
+        return Part(
+            component.name,
+            component.fmu or component.builtin,
+            fmu,
+            period or 1,
+            parameters,
+            start,
+            component.name in self.isolated,
+            bool(component.builtin),
+            component.timeout,
+        )
 
     def values(self, component: Component, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
         """{FMI variable: value} of a component's table `parameters` or `start`."""
@@ -206,8 +217,11 @@ class _Resolver:
             return component, found
         if found:
             is_a = next(iter(found.values())).causality
-            self.problem(key, f"{name!r} is {_article(is_a)}, not {_article(causality)}"
-                         f"{did_you_mean(name, choices, f'{component} has')}")  # fmt: skip
+            self.problem(
+                key,
+                f"{name!r} is {_article(is_a)}, not {_article(causality)}"
+                f"{did_you_mean(name, choices, f'{component} has')}",
+            )
         elif causality == "input" and self.components[component].swapped:
             self.notes.append(f"{component}: dropped the connection into {variable}, which {fmu.model_name} lacks")
         else:
@@ -227,8 +241,10 @@ class _Resolver:
         elif all(a.isdigit() for a in inputs) or all(a.isdigit() for a in outputs):
             pairs = list(zip(inputs.values(), outputs.values(), strict=True))
         else:
-            self.problem(key, f"the axes differ: {sink} has {_axes(inputs)}, {source} has {_axes(outputs)}; "
-                         "connect them one by one")  # fmt: skip
+            self.problem(
+                key,
+                f"the axes differ: {sink} has {_axes(inputs)}, {source} has {_axes(outputs)}; connect them one by one",
+            )
             return []
         return pairs
 
@@ -247,8 +263,11 @@ class _Resolver:
             if missing and name not in known:
                 whole = len(missing) == len(part.fmu.lookup(name))
                 what = repr(name) if whole else f"{name!r} ({', '.join(missing)})"
-                self.problem(key, f"nothing drives its input {what}; connect it, give it a value in {key}.start, "
-                             'or accept the FMU\'s own with start = "fmu"')  # fmt: skip
+                self.problem(
+                    key,
+                    f"nothing drives its input {what}; connect it, give it a value in {key}.start, "
+                    'or accept the FMU\'s own with start = "fmu"',
+                )
 
     def recorded(self) -> list[tuple[str, Variable]]:
         record = self.experiment.record

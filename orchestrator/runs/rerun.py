@@ -75,8 +75,10 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     for part in plan.parts:
         was = record.fact(part.name, "fmu_sha256")
         if part.fmu.sha256 != was:
-            told(f"note: {part.name}: {part.fmu_name} is not the same any more: {was[:10]} then, "
-                 f"{part.fmu.sha256[:10]} now")  # fmt: skip
+            told(
+                f"note: {part.name}: {part.fmu_name} is not the same any more: {was[:10]} then, "
+                f"{part.fmu.sha256[:10]} now"
+            )
     if "from_file" in facts:
         origin = facts["experiment_resolved"]["from"]
         checkpoint = open_checkpoint(facts["from_file"])
@@ -149,8 +151,14 @@ def compare(then: Run, now: Run) -> Difference | None:
     if then.signals and first != "time" and then[first].ndim > 1:
         place = tuple(np.argwhere(then[first][row] != now[first][row])[0])
         index = ",".join(str(i + 1) for i in place)
-        return Difference(tuple(found), f"{first}[{index}]", float(times[0][row]), then[first][(row, *place)].item(),
-                          now[first][(row, *place)].item(), tuple(facts))  # fmt: skip
+        return Difference(
+            tuple(found),
+            f"{first}[{index}]",
+            float(times[0][row]),
+            then[first][(row, *place)].item(),
+            now[first][(row, *place)].item(),
+            tuple(facts),
+        )
     old, new = (pair.tolist()[row] for pair in (times if first == "time" else (then[first], now[first])))
     return Difference(tuple(found), first, float(times[0][row]), old, new, tuple(facts))
 

@@ -126,8 +126,19 @@ def execute(
     if outcome.status == "completed" and path != final:
         os.replace(path, final)
         path = final
-    return Result(run_id, path, outcome.status, wall_time, factor, values, outcome.warnings, outcome.error,
-                  outcome.stopped_at, checkpoints=saver.saved, last_inputs=outcome.last_inputs)  # fmt: skip
+    return Result(
+        run_id,
+        path,
+        outcome.status,
+        wall_time,
+        factor,
+        values,
+        outcome.warnings,
+        outcome.error,
+        outcome.stopped_at,
+        checkpoints=saver.saved,
+        last_inputs=outcome.last_inputs,
+    )
 
 
 def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:
@@ -165,10 +176,17 @@ def _recall(run_id: str, path: Path, plan: Plan) -> Result:
     with Run(path) as record:
         attributes = record.attributes
         return Result(
-            run_id, path, record.status, attributes["wall_time"], attributes["real_time_factor"],
-            metrics.evaluate(record, plan.experiment.metrics), attributes["warnings"], attributes["error"],
-            attributes.get("stopped_at"), repeated=False,
-        )  # fmt: skip
+            run_id,
+            path,
+            record.status,
+            attributes["wall_time"],
+            attributes["real_time_factor"],
+            metrics.evaluate(record, plan.experiment.metrics),
+            attributes["warnings"],
+            attributes["error"],
+            attributes.get("stopped_at"),
+            repeated=False,
+        )
 
 
 def _refuse_second_writer(path: Path) -> None:

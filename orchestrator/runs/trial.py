@@ -1,7 +1,7 @@
 """FMUs loaded and initialized for a trial, each in a process of its own: a crash there is a sentence here.
 
-    python -m orchestrator.runs.trial FILE     the child: a pickled Plan of one component on
-                                               stdin, the outcome into FILE
+python -m orchestrator.runs.trial FILE     the child: a pickled Plan of one component on
+                                           stdin, the outcome into FILE
 """
 
 from __future__ import annotations
@@ -23,8 +23,12 @@ from ..plan.plan import Part, Plan
 
 TIMEOUT = 60.0  # s, for what takes one
 # What the child writes before each phase, and how to say that it ended there.
-PHASES = {"begin": "before it was loaded", "load": "while it was loaded and instantiated",
-          "initialize": "while it was initialized", "free": "while it was freed"}  # fmt: skip
+PHASES = {
+    "begin": "before it was loaded",
+    "load": "while it was loaded and instantiated",
+    "initialize": "while it was initialized",
+    "free": "while it was freed",
+}
 DONE, FAILED = "done", "failed"
 
 
@@ -59,9 +63,12 @@ def _try(plan: Plan, part: Part, timeout: float, children: list[subprocess.Popen
         outcome = Path(folder) / "outcome"
         outcome.write_text("begin\n", encoding="utf-8")
         child = subprocess.Popen(
-            [sys.executable, "-m", "orchestrator.runs.trial", str(outcome)], env={**os.environ, "TMPDIR": folder},
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [sys.executable, "-m", "orchestrator.runs.trial", str(outcome)],
+            env={**os.environ, "TMPDIR": folder},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         children.append(child)
         ended = ""
         try:

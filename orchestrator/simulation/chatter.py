@@ -67,8 +67,16 @@ class Alternations:
 
     def arrays(self) -> tuple[Any, ...]:
         """What the compiled loop needs to do the same."""
-        return (self.every, self._before, self._middle, self._threshold, self._counts, self._sum, self._sum_abs,
-                self._largest)  # fmt: skip
+        return (
+            self.every,
+            self._before,
+            self._middle,
+            self._threshold,
+            self._counts,
+            self._sum,
+            self._sum_abs,
+            self._largest,
+        )
 
     def _now(self) -> Any:
         return self._table if self._middle is None else self._table - self._middle

@@ -130,8 +130,10 @@ class _Newton:
         for iteration in range(ITERATIONS):
             if (np.abs(residual) <= TOLERANCE * np.maximum(1.0, np.abs(x))).all():
                 self._evaluate(x)
-                return [f"the initial values of {self._shown()} were found by Newton's method in {iteration} steps: "
-                        "there may be other solutions"]  # fmt: skip
+                return [
+                    f"the initial values of {self._shown()} were found by Newton's method in {iteration} steps: "
+                    "there may be other solutions"
+                ]
             x, residual = self._step(x, residual)
         raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains after {ITERATIONS} steps")
 
@@ -172,16 +174,19 @@ class _Newton:
             for member in self._system.members:
                 held = [
                     (input.buffer, place, value)
-                    for (owner, input, place), value in zip(self._places, x, strict=True) if owner is member
-                ]  # fmt: skip
+                    for (owner, input, place), value in zip(self._places, x, strict=True)
+                    if owner is member
+                ]
                 exchange(member, held)
             if not _changes(self._system, before):
                 return
 
     def _failure(self, reason: str) -> AlgebraicLoop:
-        return AlgebraicLoop(f"the initial values do not settle in {SWEEPS} sweeps, an algebraic loop through "
-                             f"{self._shown()}; {reason}; break it with a component whose output does not depend on "
-                             "its input at once")  # fmt: skip
+        return AlgebraicLoop(
+            f"the initial values do not settle in {SWEEPS} sweeps, an algebraic loop through "
+            f"{self._shown()}; {reason}; break it with a component whose output does not depend on "
+            "its input at once"
+        )
 
     def _shown(self) -> str:
         if self._loops:

@@ -65,9 +65,12 @@ class System:
     @classmethod
     @contextlib.contextmanager
     def open(
-        cls, plan: Plan, interrupted: Callable[[], bool] = bool, context: Context | None = None,
+        cls,
+        plan: Plan,
+        interrupted: Callable[[], bool] = bool,
+        context: Context | None = None,
         shelf: Shelf | None = None,
-    ) -> Iterator[System]:  # fmt: skip
+    ) -> Iterator[System]:
         """Instantiate the FMUs; frees them at the end.
 
         context: {component: what a builtin may need}; shelf: where unpacked FMUs come from, anew where it is None.
@@ -199,9 +202,13 @@ class System:
                     self._wire_outputs(member, kind, variables, place[name, variables[0].name])
 
     def _wire_inputs(
-        self, member: Member, kind: str, variables: list[Variable], place: Mapping[tuple[str, str], int],
+        self,
+        member: Member,
+        kind: str,
+        variables: list[Variable],
+        place: Mapping[tuple[str, str], int],
         links: list[Link | None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         first, n = place[member.part.name, variables[0].name], len(variables)
         buffer = self.tables[kind][first : first + n]
         if member.instance.batched:
@@ -245,9 +252,7 @@ class System:
 class _Ports:
     """Variables by component and kind, in the order of the FMU; of an array all elements, but for those `besides`."""
 
-    def __init__(
-        self, fmus: Mapping[str, Fmu], ports: Iterable[tuple[str, Variable]], besides: _Ports | None = None
-    ):
+    def __init__(self, fmus: Mapping[str, Fmu], ports: Iterable[tuple[str, Variable]], besides: _Ports | None = None):
         self._found: dict[tuple[str, str], dict[str, Variable]] = {}
         for component, port in ports:
             for variable in fmus[component].elements(port):

@@ -122,8 +122,10 @@ class _Flattener:
         units = {c.unit for at, _ in ways[:-1] if (c := self.elements[at[0]].connectors.get(at[1])) and c.unit}
         ends = {c.unit for at in (sink, node) if (c := self.elements[at[0]].connectors.get(at[1])) and c.unit}
         if len(ways) > 1 and (scaled or not convert) and len(units | ends) > 1:
-            self.problem(self.name(sink), "gets its signal through systems that change both unit and scale; "
-                         "connect it in one step")  # fmt: skip
+            self.problem(
+                self.name(sink),
+                "gets its signal through systems that change both unit and scale; connect it in one step",
+            )
             return
         kinds = {c.kind for at in (sink, node) if (c := self.elements[at[0]].connectors.get(at[1]))}
         if kinds & {"parameter", "calculatedParameter"}:

@@ -156,8 +156,11 @@ class _Importer:
             return {}
         parameters: dict[str, Any] = {}
         start: dict[str, Any] = {}
-        structure = {n: v.value for n, v in given.items() if n in fmu.variables and v.type == "Integer"
-                     and fmu.variables[n].causality == "structuralParameter"}  # fmt: skip
+        structure = {
+            n: v.value
+            for n, v in given.items()
+            if n in fmu.variables and v.type == "Integer" and fmu.variables[n].causality == "structuralParameter"
+        }
         if structure:
             fmu = self.fmus[path] = read(fmu.path, structure)
         for name, value in given.items():

@@ -80,8 +80,9 @@ def _values(root: Any, units: Units) -> Binding:
             break
         else:
             types = [str(child.tag).rpartition("}")[2] for child in parameter]
-            raise Unreadable(f"{name} is a {types[0] if types else 'parameter without a type'}; "
-                             f"orch reads {', '.join(KINDS)}")  # fmt: skip
+            raise Unreadable(
+                f"{name} is a {types[0] if types else 'parameter without a type'}; orch reads {', '.join(KINDS)}"
+            )
     return found
 
 
@@ -99,8 +100,9 @@ def _mapping(archive: Archive, node: Any) -> list[tuple[str, str, float, float]]
         if linear is None and any("Transformation" in str(child.tag) for child in entry):
             raise Unreadable(f"the mapping of {entry.get('source')} maps values one by one, which orch does not do")
         try:
-            factor, offset = (1.0, 0.0) if linear is None else (
-                float(linear.get("factor", "1")), float(linear.get("offset", "0")))  # fmt: skip
+            factor, offset = (
+                (1.0, 0.0) if linear is None else (float(linear.get("factor", "1")), float(linear.get("offset", "0")))
+            )
         except ValueError:
             raise Unreadable(f"the mapping of {entry.get('source')} has a factor that is no number") from None
         entries.append((entry.get("source") or "", entry.get("target") or "", factor, offset))

@@ -15,8 +15,11 @@ from .names import DESCRIPTION, FMU, OSP, OURS, tag
 from .parameters import Binding, read_binding
 from .units import Units, read_units
 
-MAPPINGS = ("ssc:BooleanMappingTransformation", "ssc:IntegerMappingTransformation",
-            "ssc:EnumerationMappingTransformation")  # fmt: skip
+MAPPINGS = (
+    "ssc:BooleanMappingTransformation",
+    "ssc:IntegerMappingTransformation",
+    "ssc:EnumerationMappingTransformation",
+)
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,12 @@ def limits(plan: Plan) -> list[str]:
         names = ", ".join(slow)
         found.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
     named = [f"{k.sink}.{k.input.name}" for k in plan.links if k.input.type == "Enumeration"]
-    named += [f"{p.name}.{n}" for p in plan.parts for n in {**p.parameters, **p.start}
-              if p.fmu.variables[n].type == "Enumeration"]  # fmt: skip
+    named += [
+        f"{p.name}.{n}"
+        for p in plan.parts
+        for n in {**p.parameters, **p.start}
+        if p.fmu.variables[n].type == "Enumeration"
+    ]
     if named:
         found.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
     if modern := [part.name for part in plan.parts if part.fmu.version > 2]:
@@ -134,9 +138,12 @@ class _Writer:
         experiment = self.plan.experiment
         name = experiment.path.stem
         root = self.etree.Element(
-            tag("ssd:SystemStructureDescription"), nsmap=NAMESPACES, version="1.0", name=name,
+            tag("ssd:SystemStructureDescription"),
+            nsmap=NAMESPACES,
+            version="1.0",
+            name=name,
             generationTool=f"orch {__version__}",
-        )  # fmt: skip
+        )
         system = self.add(root, "ssd:System", name=name, description=experiment.title)
         elements = self.add(system, "ssd:Elements")
         for part in self.plan.parts:
@@ -154,14 +161,20 @@ class _Writer:
         return self.etree.SubElement(parent, tag(element), **attributes)
 
     def component(self, elements: Any, part: Part) -> None:
-        component = self.add(elements, "ssd:Component", name=part.name, type=FMU, source=self.sources[part.fmu.sha256],
-                             implementation="CoSimulation")  # fmt: skip
+        component = self.add(
+            elements,
+            "ssd:Component",
+            name=part.name,
+            type=FMU,
+            source=self.sources[part.fmu.sha256],
+            implementation="CoSimulation",
+        )
         # libcosim stops at an Enumeration: those that nothing connects may as well be left out.
         ports = [
-            v for v in part.fmu.variables.values()
-            if v.causality in ("input", "output")
-            and (v.type != "Enumeration" or (part.name, v.name) in self.connected)
-        ]  # fmt: skip
+            v
+            for v in part.fmu.variables.values()
+            if v.causality in ("input", "output") and (v.type != "Enumeration" or (part.name, v.name) in self.connected)
+        ]
         if ports:
             connectors = self.add(component, "ssd:Connectors")
             for variable in ports:
@@ -170,8 +183,9 @@ class _Writer:
         values = {name: v for name, v in {**part.parameters, **part.start}.items() if not _too_wide(v)}
         if values:
             binding = self.add(self.add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-            set_ = self.add(self.add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0",
-                            name=PARAMETERS)  # fmt: skip
+            set_ = self.add(
+                self.add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name=PARAMETERS
+            )
             parameters = self.add(set_, "ssv:Parameters")
             for name, value in values.items():
                 self.value(self.add(parameters, "ssv:Parameter", name=name), part.fmu.variables[name], value)
@@ -204,8 +218,15 @@ class _Writer:
         )
         other = link.input.unit and link.output.unit and link.input.unit != link.output.unit
         settled = {"suppressUnitConversion": "true"} if scaled or other else {}
-        connection = self.add(connections, "ssd:Connection", startElement=link.source, startConnector=link.output.name,
-                              endElement=link.sink, endConnector=link.input.name, **settled)  # fmt: skip
+        connection = self.add(
+            connections,
+            "ssd:Connection",
+            startElement=link.source,
+            startConnector=link.output.name,
+            endElement=link.sink,
+            endConnector=link.input.name,
+            **settled,
+        )
         if scaled:
             self.add(connection, "ssc:LinearTransformation", factor=repr(link.factor), offset=repr(link.offset))
 

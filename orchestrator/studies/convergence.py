@@ -163,14 +163,21 @@ def report(study: Study) -> str:
 
 def as_json(study: Study) -> dict[str, Any]:
     return {
-        "experiment": study.experiment, "step": study.own, "converged": study.converged,
+        "experiment": study.experiment,
+        "step": study.own,
+        "converged": study.converged,
         "warnings": list(study.warnings),
         "metrics": {
-            m.name: {"values": {f"{h:g}": _finite(v) for h, v in m.values.items()}, "order": _finite(m.order),
-                     "limit": _finite(m.limit), "error": _finite(m.error), "converged": m.converged(study.own)}
+            m.name: {
+                "values": {f"{h:g}": _finite(v) for h, v in m.values.items()},
+                "order": _finite(m.order),
+                "limit": _finite(m.limit),
+                "error": _finite(m.error),
+                "converged": m.converged(study.own),
+            }
             for m in study.metrics
         },
-    }  # fmt: skip
+    }
 
 
 def _run(step: float, arguments: Sequence[str], told: Callable[[str], None]) -> dict[str, Any]:

@@ -16,21 +16,40 @@ from .options import json_option, results_option
 @click.option("--by", metavar="KEY", default="", help="The list of the sweep whose values compete; default: its first.")
 @click.option("--pairs/--no-pairs", default=True, help="With or without the comparisons of every two, of a sweep.")
 @click.option("--metrics", "globs", metavar="GLOB", multiple=True, help="These metrics only, such as 'rmse_*'.")
-@click.option("--format", "form", type=click.Choice(["table", "markdown", "csv", "latex"]),
-              help="Default: what FILE's name ends in (.md, .csv, .tex), else table.")  # fmt: skip
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["table", "markdown", "csv", "latex"]),
+    help="Default: what FILE's name ends in (.md, .csv, .tex), else table.",
+)
 @click.option("--output", "-o", metavar="FILE", help="Write the table here.")
 @click.option("--plot", "figure", metavar="FILE", help="Also draw the runs over each other: PNG, PDF or SVG.")
 @click.option("--signals", metavar="GLOB", multiple=True, help="Plot these signals instead of the overview.")
-@click.option("--kind", type=click.Choice(["box", "violin", "ecdf", "heatmap", "parallel"]), default="box",
-              show_default=True, help="Of the plot of a sweep.")  # fmt: skip
+@click.option(
+    "--kind",
+    type=click.Choice(["box", "violin", "ecdf", "heatmap", "parallel"]),
+    default="box",
+    show_default=True,
+    help="Of the plot of a sweep.",
+)
 @click.option("--over", metavar="KEY", multiple=True, help="The two factors of a sweep that a heat map is over.")
 @results_option
 @json_option
 def compare(
-    runs: tuple[str, ...], sweep: str | None, by: str, pairs: bool, globs: tuple[str, ...], form: str | None,
-    output: str | None, figure: str | None, signals: tuple[str, ...], kind: str, over: tuple[str, ...], results: str,
+    runs: tuple[str, ...],
+    sweep: str | None,
+    by: str,
+    pairs: bool,
+    globs: tuple[str, ...],
+    form: str | None,
+    output: str | None,
+    figure: str | None,
+    signals: tuple[str, ...],
+    kind: str,
+    over: tuple[str, ...],
+    results: str,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Compare metrics of runs, and say what tells the runs apart.
 
     RUN: an id, a prefix of one, a file, "last", or a glob over files or run ids, in quotes.
@@ -89,9 +108,18 @@ def compare(
 
 
 def _compare_sweep(
-    sweep: str, by: str, pairs: bool, globs: tuple[str, ...], form: str | None, output: str | None, figure: str | None,
-    kind: str, over: tuple[str, ...], results: str, as_json: bool,
-) -> None:  # fmt: skip
+    sweep: str,
+    by: str,
+    pairs: bool,
+    globs: tuple[str, ...],
+    form: str | None,
+    output: str | None,
+    figure: str | None,
+    kind: str,
+    over: tuple[str, ...],
+    results: str,
+    as_json: bool,
+) -> None:
     from ...studies.sweep.engine import table
     from ...studies.sweep.results import analysis, tables
     from ...views.tables import comparison as compare_tables

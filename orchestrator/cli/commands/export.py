@@ -13,16 +13,25 @@ EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is aske
 
 @click.command()
 @click.argument("run", metavar="RUN|EXPERIMENT.toml")
-@click.option("--format", "form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
-              help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).")  # fmt: skip
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
+    help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).",
+)
 @click.option("--output", "-o", metavar="FILE", help="Default: beside the record; of an experiment NAME.ssp, here.")
 @changes_options
 @packaging_option
 @results_option
 def export(
-    run: str, form: str | None, output: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str,
+    run: str,
+    form: str | None,
+    output: str | None,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
     results: str,
-) -> None:  # fmt: skip
+) -> None:
     """Write a run for another tool, with names and units; or an experiment, with its FMUs, as one SSP archive.
 
     RUN: an id, a prefix of one, a file, or "last".

@@ -15,8 +15,13 @@ from .options import json_option, tell
 @click.argument("names", metavar="[NAME|FILE.py]...", nargs=-1)
 @click.option("--native", "packaging", flag_value="native", help="Compiled C, nothing else.")
 @click.option("--python", "packaging", flag_value="python", help="Python FMUs.")
-@click.option("--target", "targets", metavar="ARCH-OS", multiple=True,
-              help="Cross-build: x86_64-windows, aarch64-linux, ...; several make one FMU for all.")  # fmt: skip
+@click.option(
+    "--target",
+    "targets",
+    metavar="ARCH-OS",
+    multiple=True,
+    help="Cross-build: x86_64-windows, aarch64-linux, ...; several make one FMU for all.",
+)
 @click.option("--force", is_flag=True, help="Build also what is up to date.")
 def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...], force: bool) -> None:
     """Build FMUs: all that come with orch, the named ones, or a model of your own.

@@ -40,14 +40,24 @@ def changes_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """--mavlink, --mavlink-key, --tlog and --realtime: what ties a run to the world outside."""
     options = [
-        click.option("--mavlink", "endpoints", metavar="ENDPOINT", multiple=True,
-                     help="Show the vehicles to ground stations: udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT or "
-                     "serial:DEVICE:BAUD; 1=... shows only the vehicle with system id 1.  Repeatable."),
+        click.option(
+            "--mavlink",
+            "endpoints",
+            metavar="ENDPOINT",
+            multiple=True,
+            help="Show the vehicles to ground stations: udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT or "
+            "serial:DEVICE:BAUD; 1=... shows only the vehicle with system id 1.  Repeatable.",
+        ),
         click.option("--mavlink-key", "key", metavar="FILE", help="Sign, and accept only what is signed."),
         click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too."),
-        click.option("--realtime", metavar="[FACTOR]", is_flag=False, flag_value="1",
-                     help="Keep the pace of the clock, or FACTOR times that."),
-    ]  # fmt: skip
+        click.option(
+            "--realtime",
+            metavar="[FACTOR]",
+            is_flag=False,
+            flag_value="1",
+            help="Keep the pace of the clock, or FACTOR times that.",
+        ),
+    ]
     for option in reversed(options):
         command = option(command)
     return command

@@ -25,7 +25,8 @@ from .options import (
 )
 
 
-@click.command(epilog="""\b
+@click.command(
+    epilog="""\b
 Examples:
   orch run experiments/gripping_currents.toml
   orch run experiments/spiral_pid.toml --set master.stop_time=10 --swap controller=mfsosmc
@@ -33,15 +34,22 @@ Examples:
   orch run experiments/gripping_currents.toml --realtime 2 --mavlink 1=tcpin:127.0.0.1:5760
   orch run experiments/spiral_pid.toml --checkpoint-at 12
   orch run --from results/spiral_pid/3f9a2c1d5e.at-12.checkpoint --swap controller=mfsosmc
-""")
+"""
+)
 @click.argument("experiment", metavar="EXPERIMENT.toml", required=False)
 @changes_options
 @packaging_option
 @click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
 @results_option
 @click.option("--force", is_flag=True, help="Run again although the record is there.")
-@click.option("--checkpoint-at", "times", metavar="T", type=float, multiple=True,
-              help="Save the run at T seconds, beside its record.  Repeatable.")
+@click.option(
+    "--checkpoint-at",
+    "times",
+    metavar="T",
+    type=float,
+    multiple=True,
+    help="Save the run at T seconds, beside its record.  Repeatable.",
+)
 @click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names begins anew.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @live_options
@@ -114,13 +122,25 @@ def run(
 @packaging_option
 @click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
 @click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
-@click.option("--timeout", metavar="S", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
-              help="Of --load, for each FMU.")  # fmt: skip
+@click.option(
+    "--timeout",
+    metavar="S",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Of --load, for each FMU.",
+)
 @json_option
 def check(
-    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, diagram: str | None, load: bool,
-    timeout: float, as_json: bool,
-) -> None:  # fmt: skip
+    experiment: str,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
+    diagram: str | None,
+    load: bool,
+    timeout: float,
+    as_json: bool,
+) -> None:
     """Find all problems of an experiment and its FMUs, and show the system; run nothing.
 
     No FMU is loaded unless --load asks for it.

@@ -15,13 +15,15 @@ from .options import json_option, results_option, tell
 
 def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """--experiment, --status, --since, --before and --where."""
-    for option, metavar, text in reversed((
-        ("--experiment", "GLOB", "Of these experiments."),
-        ("--status", "GLOB", "completed, failed, interrupted*, running or corrupt."),
-        ("--since", "TIME", "Created since a date, or an age: 2h, 3d, 1w."),
-        ("--before", "TIME", "Created before it."),
-        ("--where", "EXPRESSION", "For which this is true."),
-    )):  # fmt: skip
+    for option, metavar, text in reversed(
+        (
+            ("--experiment", "GLOB", "Of these experiments."),
+            ("--status", "GLOB", "completed, failed, interrupted*, running or corrupt."),
+            ("--since", "TIME", "Created since a date, or an age: 2h, 3d, 1w."),
+            ("--before", "TIME", "Created before it."),
+            ("--where", "EXPRESSION", "For which this is true."),
+        )
+    ):
         command = click.option(option, metavar=metavar, default="", help=text)(command)
     return command
 
@@ -36,9 +38,19 @@ def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @results_option
 @json_option
 def list_(
-    experiment: str, status: str, since: str, before: str, where: str, sort: str, reverse: bool, limit: int | None,
-    columns: str, as_csv: bool, results: str, as_json: bool,
-) -> None:  # fmt: skip
+    experiment: str,
+    status: str,
+    since: str,
+    before: str,
+    where: str,
+    sort: str,
+    reverse: bool,
+    limit: int | None,
+    columns: str,
+    as_csv: bool,
+    results: str,
+    as_json: bool,
+) -> None:
     """List the runs of the store.
 
     \b

@@ -18,9 +18,14 @@ from .options import changes_options, json_option, prepared, results_option, sil
 @results_option
 @json_option
 def converge(
-    experiment: str, steps: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], output: str | None, results: str,
+    experiment: str,
+    steps: str | None,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    output: str | None,
+    results: str,
     as_json: bool,
-) -> int:  # fmt: skip
+) -> int:
     """Run an experiment at several steps: is the result converged?  Exit code 1 where it is not.
 
     \b
@@ -50,8 +55,12 @@ def converge(
     epilog="Example: orch reproduce thesis --only 5.2 --only fig5.57.  Exit code 1: a number lies outside its band."
 )
 @click.argument("what", metavar="thesis", type=click.Choice(["thesis"]))
-@click.option("--only", metavar="TABLE|FIGURE", multiple=True,
-              help="Do what this needs, such as 5.2 (the table), fig5.2, 5.57, claims, steps.")  # fmt: skip
+@click.option(
+    "--only",
+    metavar="TABLE|FIGURE",
+    multiple=True,
+    help="Do what this needs, such as 5.2 (the table), fig5.2, 5.57, claims, steps.",
+)
 @click.option("--quick", is_flag=True, help="Coarser steps, and no step study.")
 @results_option
 def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> int:

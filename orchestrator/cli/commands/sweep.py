@@ -30,9 +30,17 @@ from .options import (
 @results_option
 @json_option
 def sweep(
-    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, dry_run: bool, workers: int | None,
-    scheduler: str | None, fail_fast: bool, results: str, as_json: bool,
-) -> int:  # fmt: skip
+    experiment: str,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
+    dry_run: bool,
+    workers: int | None,
+    scheduler: str | None,
+    fail_fast: bool,
+    results: str,
+    as_json: bool,
+) -> int:
     """Run an experiment many times, as its [sweep] says; runs that are there are not repeated.
 
     \b
@@ -78,9 +86,15 @@ def sweep(
 @results_option
 @json_option
 def tune(
-    experiment: str, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str, workers: int | None,
-    scheduler: str | None, results: str, as_json: bool,
-) -> int:  # fmt: skip
+    experiment: str,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
+    workers: int | None,
+    scheduler: str | None,
+    results: str,
+    as_json: bool,
+) -> int:
     """Search the parameters of controllers, as [sweep.tune] says, and compare them on draws that they have not seen.
 
     \b
@@ -97,8 +111,18 @@ def tune(
     told = silent if as_json else tell
     trials, progress = Trials(quiet=as_json), Progress(quiet=as_json)
     try:
-        outcome = tuning.tune(experiment, pairs("--set", sets), swaps_of(swaps), packaging, results, scheduler, workers,
-                              told, trials, progress)  # fmt: skip
+        outcome = tuning.tune(
+            experiment,
+            pairs("--set", sets),
+            swaps_of(swaps),
+            packaging,
+            results,
+            scheduler,
+            workers,
+            told,
+            trials,
+            progress,
+        )
     finally:
         trials.done()
         progress.done()

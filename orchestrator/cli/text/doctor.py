@@ -48,8 +48,14 @@ def _findings() -> Iterator[Finding]:
     yield Finding("loop", *_loop())
     folder = build_folder()
     yield Finding("built FMUs", "ok" if _writable(folder) else "missing", f"{folder}")
-    yield Finding("results", *(("ok", "./results can be written") if _writable(Path("results")) else
-                               ("missing", "./results cannot be written here; use --results DIR")))  # fmt: skip
+    yield Finding(
+        "results",
+        *(
+            ("ok", "./results can be written")
+            if _writable(Path("results"))
+            else ("missing", "./results cannot be written here; use --results DIR")
+        ),
+    )
 
 
 def _platform() -> tuple[str, str]:

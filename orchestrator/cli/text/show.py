@@ -69,9 +69,13 @@ def record(run: Run) -> str:
     plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
     lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *columns_of(plain, indent=2), "", "  components"]
     lines += columns_of(
-        [(c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
-         for c in facts["experiment_resolved"]["components"]], indent=4, cut=True,
-    )  # fmt: skip
+        [
+            (c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
+            for c in facts["experiment_resolved"]["components"]
+        ],
+        indent=4,
+        cut=True,
+    )
     if run.metrics:
         units = {name: run.units(name) for name in run.signals}
         specs = facts["experiment_resolved"]["metrics"]
@@ -104,8 +108,10 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
     lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
     if pacing := timing.get("pacing"):
         mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
-        lines.append(f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, "
-                     f"{worst:.3g} ms at worst, {end:.3g} ms at the end")  # fmt: skip
+        lines.append(
+            f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, "
+            f"{worst:.3g} ms at worst, {end:.3g} ms at the end"
+        )
     return lines
 
 
@@ -132,19 +138,26 @@ def _metrics(
 
 def last_inputs(result: Result) -> str:
     """What the component that failed was given last: the first few, the record has all."""
-    shown = [f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
-             for name, value in list(result.last_inputs.items())[:SHOWN_INPUTS]]  # fmt: skip
+    shown = [
+        f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
+        for name, value in list(result.last_inputs.items())[:SHOWN_INPUTS]
+    ]
     more = len(result.last_inputs) - len(shown)
     return f"  its last inputs: {', '.join(shown)}" + (f", and {more} more in the record" if more else "")
 
 
 def result_as_json(result: Result) -> dict[str, Any]:
     return {
-        "run_id": result.run_id, "file": str(result.file), "status": result.status, "wall_time": result.wall_time,
-        "real_time_factor": result.real_time_factor, "metrics": finite(result.metrics),
-        "warnings": list(result.warnings), "error": result.error,
+        "run_id": result.run_id,
+        "file": str(result.file),
+        "status": result.status,
+        "wall_time": result.wall_time,
+        "real_time_factor": result.real_time_factor,
+        "metrics": finite(result.metrics),
+        "warnings": list(result.warnings),
+        "error": result.error,
         **({"checkpoints": list(map(str, result.checkpoints))} if result.checkpoints else {}),
-    }  # fmt: skip
+    }
 
 
 def not_started(error: OrchError) -> dict[str, Any]:
@@ -180,18 +193,29 @@ def _cycle(plan: Plan, cycle: Cycle) -> list[str]:
     late = ", ".join(f"{link.sink}.{link.input.name} takes {link.source}.{link.output.name}" for link in cycle.delayed)
     algorithm = plan.experiment.master.algorithm
     order = "the order of the components" if algorithm == "gauss-seidel" else "jacobi"
-    return [f"  cycle: {cycle}", "         depends on itself at once: while stepping,",
-            f"         by {order}, {late} of the step before"]  # fmt: skip
+    return [
+        f"  cycle: {cycle}",
+        "         depends on itself at once: while stepping,",
+        f"         by {order}, {late} of the step before",
+    ]
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
     found = [
-        {"path": [".".join(port) for port in cycle.path],
-         "delayed": [[f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in cycle.delayed]}
+        {
+            "path": [".".join(port) for port in cycle.path],
+            "delayed": [[f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in cycle.delayed],
+        }
         for cycle in cycles(plan)
-    ]  # fmt: skip
-    return {"experiment": str(plan.experiment.path), "problems": [], "digest": plan.digest, "cycles": found,
-            "notes": [*plan.notes, *plan.cautions], **plan.resolved}  # fmt: skip
+    ]
+    return {
+        "experiment": str(plan.experiment.path),
+        "problems": [],
+        "digest": plan.digest,
+        "cycles": found,
+        "notes": [*plan.notes, *plan.cautions],
+        **plan.resolved,
+    }
 
 
 def fmus(found: Sequence[Fmu]) -> str:
@@ -243,12 +267,23 @@ def _number(start: Any) -> str:
 
 def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
     return {
-        "name": fmu.model_name, "description": fmu.description, "file": str(fmu.path), "sha256": fmu.sha256,
-        "fmi_version": fmu.fmi_version, "packaging": fmu.packaging, "tool": fmu.tool,
+        "name": fmu.model_name,
+        "description": fmu.description,
+        "file": str(fmu.path),
+        "sha256": fmu.sha256,
+        "fmi_version": fmu.fmi_version,
+        "packaging": fmu.packaging,
+        "tool": fmu.tool,
         "capabilities": dict(fmu.capabilities),
         "variables": [
-            {"name": v.name, "type": v.type, "causality": v.causality, "unit": v.unit, "start": v.start,
-             "description": v.description}
+            {
+                "name": v.name,
+                "type": v.type,
+                "causality": v.causality,
+                "unit": v.unit,
+                "start": v.start,
+                "description": v.description,
+            }
             for v in fmu.variables.values()
         ],
-    }  # fmt: skip
+    }

@@ -29,11 +29,13 @@ LAYOUTS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}  # 
 LONGEST_STEP = 0.1  # s; ArduPilot ignores a longer one
 LOOK = 0.1  # s, between two looks at whether the run was interrupted
 INPUTS = (
-    *((f"eta.{a}", u, "position in NED and zyx Euler angles") for a, u in
-      zip(("x", "y", "z", "phi", "theta", "psi"), ("m",) * 3 + ("rad",) * 3, strict=True)),
+    *(
+        (f"eta.{a}", u, "position in NED and zyx Euler angles")
+        for a, u in zip(("x", "y", "z", "phi", "theta", "psi"), ("m",) * 3 + ("rad",) * 3, strict=True)
+    ),
     *((f"nu.{a}", u, "body velocity") for a, u in zip("uvwpqr", ("m/s",) * 3 + ("rad/s",) * 3, strict=True)),
     *((f"specific_force.{a}", "m/s2", "what an accelerometer reads, FRD") for a in "xyz"),
-)  # fmt: skip
+)
 PARAMETERS = {
     "port": (9002.0, "1", "UDP port, 9002 + 10 n for ArduPilot's instance n"),
     "patience": (60.0, "s", "of wall time to wait for ArduPilot's first packet"),
@@ -65,8 +67,9 @@ class ArdupilotJson:
             self._socket.bind(("" if chosen["all_hosts"] else "127.0.0.1", self._port))
         except OSError as error:
             self._socket.close()
-            raise OrchError(f"{self._key}.port: {self._port} cannot be had: {error.strerror}; is another program using "
-                            "it?") from None  # fmt: skip
+            raise OrchError(
+                f"{self._key}.port: {self._port} cannot be had: {error.strerror}; is another program using it?"
+            ) from None
         self._socket.settimeout(LOOK)
         self._peer: Any = None
         self._count: int | None = None  # of the packet that is being answered
@@ -103,8 +106,10 @@ class ArdupilotJson:
     def step(self, t: float, h: float, inputs: NDArray[np.float64], heard: Array) -> Array:
         """Put the outputs on the thrusters."""
         if h >= LONGEST_STEP:
-            raise OrchError(f"components.{self._name}.step: {h} s; ArduPilot ignores steps of {LONGEST_STEP} s or "
-                            "more: give the component a step of 0.0025 s")  # fmt: skip
+            raise OrchError(
+                f"components.{self._name}.step: {h} s; ArduPilot ignores steps of {LONGEST_STEP} s or "
+                "more: give the component a step of 0.0025 s"
+            )
         return self._frame.u(heard.tolist())
 
     def close(self) -> None:
@@ -120,9 +125,10 @@ class ArdupilotJson:
             except TimeoutError:
                 if time.monotonic() > deadline:
                     what = "no packet of ArduPilot" if self._count is None else "no further packet of ArduPilot"
-                    raise OrchError(f"{what} at UDP port {self._port} within {limit:g} s; start it with "
-                                    f"sim_vehicle.py -v ArduSub --model JSON:127.0.0.1 -I {(self._port - 9002) // 10}"
-                                    ) from None  # fmt: skip
+                    raise OrchError(
+                        f"{what} at UDP port {self._port} within {limit:g} s; start it with "
+                        f"sim_vehicle.py -v ArduSub --model JSON:127.0.0.1 -I {(self._port - 9002) // 10}"
+                    ) from None
                 continue
             except OSError:  # ArduPilot is gone; the time will tell
                 continue

@@ -44,11 +44,13 @@ def _variables() -> tuple[Variable, ...]:
         *vector("eta_d", "output", "", "desired position in NED and zyx Euler angles"),
         *vector("eta_d_dot", "output", "/s", "its derivative"),
         *vector("eta_d_ddot", "output", "/s2", "its second derivative"),
-        *((f"nu_d.{axis}", "output", unit, None, "desired body velocity")
-          for axis, unit in zip("uvwpqr", ("m/s",) * 3 + ("rad/s",) * 3, strict=True)),
+        *(
+            (f"nu_d.{axis}", "output", unit, None, "desired body velocity")
+            for axis, unit in zip("uvwpqr", ("m/s",) * 3 + ("rad/s",) * 3, strict=True)
+        ),
         *((name, "parameter", unit, start, meaning) for name, (start, unit, meaning) in SPEEDS.items()),
         (LAG[0], "parameter", *LAG[2:3], LAG[1], LAG[3]),
-    ]  # fmt: skip
+    ]
     return tuple(
         Variable(name, reference, "Real", "real", causality, unit, start, meaning)
         for reference, (name, causality, unit, start, meaning) in enumerate(found)

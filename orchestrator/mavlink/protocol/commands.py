@@ -142,6 +142,17 @@ def reposition(command: Command, channel: Channel) -> Answer:
 
 
 COMMANDS: dict[int, Callable[[Command, Channel], Answer]] = {
-    512: request_message, 520: request_capabilities, 511: set_interval, 510: get_interval, 400: arm, 176: set_mode,
-    410: get_home, 179: cannot, 192: reposition, 246: cannot, 22: cannot, 21: cannot, 300: cannot,
-}  # fmt: skip
+    512: request_message,
+    520: request_capabilities,
+    511: set_interval,
+    510: get_interval,
+    400: arm,
+    176: set_mode,
+    410: get_home,
+    179: cannot,
+    192: reposition,
+    246: cannot,
+    22: cannot,
+    21: cannot,
+    300: cannot,
+}

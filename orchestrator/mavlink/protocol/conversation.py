@@ -107,8 +107,14 @@ class Conversation:
 
     def _mission(self, channel: Channel, asked: Any, result: int) -> None:
         known = asked.mission_type in MISSION_TYPES
-        channel.send(message("MISSION_ACK", *_station(asked), result if known else MISSION_UNSUPPORTED,
-                             asked.mission_type if known else 0))  # fmt: skip
+        channel.send(
+            message(
+                "MISSION_ACK",
+                *_station(asked),
+                result if known else MISSION_UNSUPPORTED,
+                asked.mission_type if known else 0,
+            )
+        )
 
     def _timesync(self, channel: Channel, asked: Any, now: float) -> None:
         if asked.tc1 == 0:
@@ -139,24 +145,34 @@ class Conversation:
 
 
 HANDLERS: dict[str, Callable[[Conversation, Channel, Any, float], None]] = {
-    "COMMAND_LONG": Conversation._command_long, "COMMAND_INT": Conversation._command_int,
-    "SET_MODE": Conversation._set_mode, "REQUEST_DATA_STREAM": Conversation._data_stream,
-    "PARAM_REQUEST_LIST": Conversation._param_list, "PARAM_REQUEST_READ": Conversation._param_read,
-    "PARAM_SET": Conversation._param_set, "FILE_TRANSFER_PROTOCOL": Conversation._ftp,
-    "MISSION_REQUEST_LIST": Conversation._mission_list, "MISSION_COUNT": Conversation._mission_upload,
-    "MISSION_CLEAR_ALL": Conversation._mission_clear, "MISSION_REQUEST_INT": Conversation._mission_item,
-    "MISSION_REQUEST": Conversation._mission_item, "TIMESYNC": Conversation._timesync,
-    "LOG_REQUEST_LIST": Conversation._log_list, "PING": Conversation._ping,
-    "MANUAL_CONTROL": Conversation._manual_control, "RC_CHANNELS_OVERRIDE": Conversation._override,
+    "COMMAND_LONG": Conversation._command_long,
+    "COMMAND_INT": Conversation._command_int,
+    "SET_MODE": Conversation._set_mode,
+    "REQUEST_DATA_STREAM": Conversation._data_stream,
+    "PARAM_REQUEST_LIST": Conversation._param_list,
+    "PARAM_REQUEST_READ": Conversation._param_read,
+    "PARAM_SET": Conversation._param_set,
+    "FILE_TRANSFER_PROTOCOL": Conversation._ftp,
+    "MISSION_REQUEST_LIST": Conversation._mission_list,
+    "MISSION_COUNT": Conversation._mission_upload,
+    "MISSION_CLEAR_ALL": Conversation._mission_clear,
+    "MISSION_REQUEST_INT": Conversation._mission_item,
+    "MISSION_REQUEST": Conversation._mission_item,
+    "TIMESYNC": Conversation._timesync,
+    "LOG_REQUEST_LIST": Conversation._log_list,
+    "PING": Conversation._ping,
+    "MANUAL_CONTROL": Conversation._manual_control,
+    "RC_CHANNELS_OVERRIDE": Conversation._override,
     "SET_POSITION_TARGET_LOCAL_NED": Conversation._set_point,
-}  # fmt: skip
+}
 
 
 def parameter_value(autopilot: Autopilot, parameter: Parameter) -> Any:
     """As ArduPilot does: a float of the value, whatever the type."""
     value = parameter.value if math.isfinite(parameter.value) else 0.0
-    return message("PARAM_VALUE", parameter.name.encode(), float(value), parameter.type, len(autopilot.parameters),
-                   parameter.index)  # fmt: skip
+    return message(
+        "PARAM_VALUE", parameter.name.encode(), float(value), parameter.type, len(autopilot.parameters), parameter.index
+    )
 
 
 def _parameters(autopilot: Autopilot) -> Iterator[Any]:

@@ -14,8 +14,12 @@ from typing import Any
 
 from ...errors import OrchError, did_you_mean
 
-FORMS = {"udpout": "udpout:HOST:PORT", "udpin": "udpin:HOST:PORT", "tcpin": "tcpin:HOST:PORT",
-         "serial": "serial:DEVICE:BAUD"}  # fmt: skip
+FORMS = {
+    "udpout": "udpout:HOST:PORT",
+    "udpin": "udpin:HOST:PORT",
+    "tcpin": "tcpin:HOST:PORT",
+    "serial": "serial:DEVICE:BAUD",
+}
 FORGET = 30.0  # s of silence after which udpin sends no more
 MOST_PEERS = 16  # of a link
 BACKLOG = 1 << 16  # bytes that a slow reader may leave in our hands
@@ -40,8 +44,9 @@ class Endpoint:
         match = re.fullmatch(r"(?:(\d+)=)?([^:=]+):(.+):(\d+)", text.strip())
         known = ", ".join(FORMS.values())
         if not match:
-            raise OrchError(f"--mavlink {text}: write one of {known}; 1=udpout:... shows only the vehicle with "
-                            "system id 1")  # fmt: skip
+            raise OrchError(
+                f"--mavlink {text}: write one of {known}; 1=udpout:... shows only the vehicle with system id 1"
+            )
         system, kind, host, number = match.groups()
         if kind not in FORMS:
             raise OrchError(f"--mavlink {text}: no {kind!r}{did_you_mean(kind, FORMS)}")
@@ -328,8 +333,11 @@ class Serial(Stream):
 
 
 KINDS: dict[str, Callable[[Endpoint, Counter[str]], Link]] = {
-    "udpout": UdpOut, "udpin": UdpIn, "tcpin": TcpIn, "serial": Serial,
-}  # fmt: skip
+    "udpout": UdpOut,
+    "udpin": UdpIn,
+    "tcpin": TcpIn,
+    "serial": Serial,
+}
 
 
 def open_link(endpoint: Endpoint, counts: Counter[str]) -> Link:

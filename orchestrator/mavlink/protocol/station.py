@@ -113,13 +113,18 @@ class Channel:
 class Station:
     """A partner, with a channel for each vehicle of its link."""
 
-    def __init__(self, peer: Peer, autopilots: Iterable[Autopilot], key: bytes | None, number: int, now: float,
-                 counts: Counter[str]):  # fmt: skip
+    def __init__(
+        self,
+        peer: Peer,
+        autopilots: Iterable[Autopilot],
+        key: bytes | None,
+        number: int,
+        now: float,
+        counts: Counter[str],
+    ):
         self.peer = peer
         self.decoder = Decoder(counts, key)
-        self.channels = {
-            a.system: Channel(a, peer, Encoder(a.system, key, number), now, counts) for a in autopilots
-        }
+        self.channels = {a.system: Channel(a, peer, Encoder(a.system, key, number), now, counts) for a in autopilots}
 
     def messages(self, data: bytes) -> Iterator[Any]:
         for message in self.decoder.messages(data, self.peer.link.whole):

@@ -76,16 +76,28 @@ def local_position(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
 
 def global_position(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
     altitude = within(-at.depth * 1e3, INT32)
-    return [message("GLOBAL_POSITION_INT", at.milliseconds, *at.place, altitude, altitude,
-                    *(within(v * 100, INT16) for v in at.velocity), _centidegrees(at.heading))]  # fmt: skip
+    return [
+        message(
+            "GLOBAL_POSITION_INT",
+            at.milliseconds,
+            *at.place,
+            altitude,
+            altitude,
+            *(within(v * 100, INT16) for v in at.velocity),
+            _centidegrees(at.heading),
+        )
+    ]
 
 
 def gps_raw(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
     north, east = map(float, at.velocity[:2])
     speed = min(NOTHING - 1, round(100 * math.hypot(north, east)))
     course = _centidegrees(math.degrees(math.atan2(east, north)) % 360)
-    return [message("GPS_RAW_INT", at.microseconds, 3, *at.place, within(-at.depth * 1e3, INT32), 100, 100, speed,
-                    course, 10)]  # fmt: skip
+    return [
+        message(
+            "GPS_RAW_INT", at.microseconds, 3, *at.place, within(-at.depth * 1e3, INT32), 100, 100, speed, course, 10
+        )
+    ]
 
 
 def raw_imu(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
@@ -141,8 +153,17 @@ def nav_controller_output(autopilot: Autopilot, at: Sample, wall: float) -> list
 
 def named_values(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
     gain = autopilot.parameters["JS_GAIN_DEFAULT"]
-    values = {"CamTilt": 0.5, "CamPan": 0.5, "TetherTrn": float(round(at.eta[5] / (2 * math.pi))), "Lights1": 0.0,
-              "Lights2": 0.0, "PilotGain": gain, "InputHold": 0.0, "RollPitch": 0.0, "RFTarget": 0.0}  # fmt: skip
+    values = {
+        "CamTilt": 0.5,
+        "CamPan": 0.5,
+        "TetherTrn": float(round(at.eta[5] / (2 * math.pi))),
+        "Lights1": 0.0,
+        "Lights2": 0.0,
+        "PilotGain": gain,
+        "InputHold": 0.0,
+        "RollPitch": 0.0,
+        "RFTarget": 0.0,
+    }
     return [message("NAMED_VALUE_FLOAT", at.milliseconds, name.encode(), value) for name, value in values.items()]
 
 
@@ -174,8 +195,11 @@ def vibration(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
 
 
 def home_position(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
-    return [message("HOME_POSITION", *_origin(autopilot), 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0,
-                    at.microseconds)]  # fmt: skip
+    return [
+        message(
+            "HOME_POSITION", *_origin(autopilot), 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, at.microseconds
+        )
+    ]
 
 
 def global_origin(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
@@ -189,8 +213,22 @@ def extended_sys_state(autopilot: Autopilot, at: Sample, wall: float) -> list[An
 def autopilot_version(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
     major, minor, patch = VERSION
     version = major << 24 | minor << 16 | patch << 8 | 255  # 255: an official release
-    return [message("AUTOPILOT_VERSION", CAPABILITIES, version, 0, 0, 0, list(HASH.encode()), [0] * 8, [0] * 8, 0, 0,
-                    autopilot.system)]  # fmt: skip
+    return [
+        message(
+            "AUTOPILOT_VERSION",
+            CAPABILITIES,
+            version,
+            0,
+            0,
+            0,
+            list(HASH.encode()),
+            [0] * 8,
+            [0] * 8,
+            0,
+            0,
+            autopilot.system,
+        )
+    ]
 
 
 def heartbeat_on_request(autopilot: Autopilot, at: Sample, wall: float) -> list[Any]:
@@ -200,23 +238,36 @@ def heartbeat_on_request(autopilot: Autopilot, at: Sample, wall: float) -> list[
 # Of every message that can be had: the stream it belongs to (None: sent when asked for), in ArduSub's order.
 STREAMED: dict[str, tuple[str | None, Maker]] = {
     "HEARTBEAT": (None, heartbeat_on_request),
-    "RAW_IMU": ("RAW_SENS", raw_imu), "SCALED_IMU2": ("RAW_SENS", scaled_imu2),
-    "SCALED_PRESSURE": ("RAW_SENS", scaled_pressure), "SCALED_PRESSURE2": ("RAW_SENS", scaled_pressure2),
+    "RAW_IMU": ("RAW_SENS", raw_imu),
+    "SCALED_IMU2": ("RAW_SENS", scaled_imu2),
+    "SCALED_PRESSURE": ("RAW_SENS", scaled_pressure),
+    "SCALED_PRESSURE2": ("RAW_SENS", scaled_pressure2),
     "SCALED_PRESSURE3": ("RAW_SENS", scaled_pressure3),
-    "SYS_STATUS": ("EXT_STAT", sys_status), "POWER_STATUS": ("EXT_STAT", power_status),
-    "MEMINFO": ("EXT_STAT", meminfo), "MISSION_CURRENT": ("EXT_STAT", mission_current),
-    "NAV_CONTROLLER_OUTPUT": ("EXT_STAT", nav_controller_output), "GPS_RAW_INT": ("EXT_STAT", gps_raw),
+    "SYS_STATUS": ("EXT_STAT", sys_status),
+    "POWER_STATUS": ("EXT_STAT", power_status),
+    "MEMINFO": ("EXT_STAT", meminfo),
+    "MISSION_CURRENT": ("EXT_STAT", mission_current),
+    "NAV_CONTROLLER_OUTPUT": ("EXT_STAT", nav_controller_output),
+    "GPS_RAW_INT": ("EXT_STAT", gps_raw),
     "NAMED_VALUE_FLOAT": ("EXT_STAT", named_values),
-    "SERVO_OUTPUT_RAW": ("RC_CHAN", servo_output), "RC_CHANNELS": ("RC_CHAN", rc_channels),
-    "GLOBAL_POSITION_INT": ("POSITION", global_position), "LOCAL_POSITION_NED": ("POSITION", local_position),
-    "ATTITUDE": ("EXTRA1", attitude), "AHRS2": ("EXTRA1", ahrs2),
+    "SERVO_OUTPUT_RAW": ("RC_CHAN", servo_output),
+    "RC_CHANNELS": ("RC_CHAN", rc_channels),
+    "GLOBAL_POSITION_INT": ("POSITION", global_position),
+    "LOCAL_POSITION_NED": ("POSITION", local_position),
+    "ATTITUDE": ("EXTRA1", attitude),
+    "AHRS2": ("EXTRA1", ahrs2),
     "VFR_HUD": ("EXTRA2", vfr_hud),
-    "AHRS": ("EXTRA3", ahrs), "SYSTEM_TIME": ("EXTRA3", system_time), "BATTERY_STATUS": ("EXTRA3", battery_status),
-    "EKF_STATUS_REPORT": ("EXTRA3", ekf_status), "VIBRATION": ("EXTRA3", vibration),
-    "HOME_POSITION": (None, home_position), "GPS_GLOBAL_ORIGIN": (None, global_origin),
-    "EXTENDED_SYS_STATE": (None, extended_sys_state), "AUTOPILOT_VERSION": (None, autopilot_version),
+    "AHRS": ("EXTRA3", ahrs),
+    "SYSTEM_TIME": ("EXTRA3", system_time),
+    "BATTERY_STATUS": ("EXTRA3", battery_status),
+    "EKF_STATUS_REPORT": ("EXTRA3", ekf_status),
+    "VIBRATION": ("EXTRA3", vibration),
+    "HOME_POSITION": (None, home_position),
+    "GPS_GLOBAL_ORIGIN": (None, global_origin),
+    "EXTENDED_SYS_STATE": (None, extended_sys_state),
+    "AUTOPILOT_VERSION": (None, autopilot_version),
     "ATTITUDE_QUATERNION": (None, attitude_quaternion),
-}  # fmt: skip
+}
 STREAM_IDS = {1: "RAW_SENS", 2: "EXT_STAT", 3: "RC_CHAN", 6: "POSITION", 10: "EXTRA1", 11: "EXTRA2", 12: "EXTRA3"}
 
 
@@ -244,7 +295,9 @@ def wrapped_degrees(degrees: float) -> float:
 def _quaternion(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
     """w, x, y, z of zyx Euler angles."""
     c1, s1, c2, s2, c3, s3 = (f(angle / 2) for angle in (phi, theta, psi) for f in (math.cos, math.sin))
-    return (c1 * c2 * c3 + s1 * s2 * s3, s1 * c2 * c3 - c1 * s2 * s3, c1 * s2 * c3 + s1 * c2 * s3,
-            c1 * c2 * s3 - s1 * s2 * c3)  # fmt: skip
-
-
+    return (
+        c1 * c2 * c3 + s1 * s2 * s3,
+        s1 * c2 * c3 - c1 * s2 * s3,
+        c1 * s2 * c3 + s1 * c2 * s3,
+        c1 * c2 * s3 - s1 * s2 * c3,
+    )

@@ -20,9 +20,18 @@ BANNER = (f"ArduSub V{'.'.join(map(str, VERSION))} ({HASH})", "Frame: VECTORED")
 
 # custom_mode of ArduSub
 MODES = {
-    "STABILIZE": 0, "ACRO": 1, "ALT_HOLD": 2, "AUTO": 3, "GUIDED": 4, "CIRCLE": 7, "SURFACE": 9, "POSHOLD": 16,
-    "MANUAL": 19, "MOTOR_DETECT": 20, "SURFTRAK": 21,
-}  # fmt: skip
+    "STABILIZE": 0,
+    "ACRO": 1,
+    "ALT_HOLD": 2,
+    "AUTO": 3,
+    "GUIDED": 4,
+    "CIRCLE": 7,
+    "SURFACE": 9,
+    "POSHOLD": 16,
+    "MANUAL": 19,
+    "MOTOR_DETECT": 20,
+    "SURFTRAK": 21,
+}
 MODE_NAMES = {number: name for name, number in MODES.items()}
 GUIDING = (MODES["AUTO"], MODES["GUIDED"], MODES["CIRCLE"], MODES["POSHOLD"])  # ArduSub's base_mode()
 

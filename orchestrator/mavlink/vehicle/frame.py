@@ -110,8 +110,10 @@ def t200_pwm(thrust: float) -> float:
 def _match(matrix: Array) -> tuple[list[int], list[int]]:
     """Motor and sign of each column.  Raises OrchError."""
     if matrix.shape != FACTORS.shape[::-1]:
-        raise OrchError(f"its thruster matrix is {matrix.shape[0]} x {matrix.shape[1]}, and ArduSub's vectored frame "
-                        "has six thrusters")  # fmt: skip
+        raise OrchError(
+            f"its thruster matrix is {matrix.shape[0]} x {matrix.shape[1]}, and ArduSub's vectored frame "
+            "has six thrusters"
+        )
     scale = np.abs(matrix).max(axis=1, keepdims=True)
     scale[scale < 1e-9 * max(1.0, float(scale.max()))] = 1.0
     columns = (matrix / scale).T
@@ -127,8 +129,10 @@ def _match(matrix: Array) -> tuple[list[int], list[int]]:
         if not found:
             entries = zip(AXES, matrix[:, thruster], strict=True)
             pushes = ", ".join(f"{axis} {value:+.3g}" for axis, value in entries if value) or "no force"
-            raise OrchError(f"its thruster matrix is no vectored frame: thruster {thruster + 1} ({pushes}) is none of "
-                            "the motors that ArduSub's SUB_FRAME_VECTORED has left")  # fmt: skip
+            raise OrchError(
+                f"its thruster matrix is no vectored frame: thruster {thruster + 1} ({pushes}) is none of "
+                "the motors that ArduSub's SUB_FRAME_VECTORED has left"
+            )
         motors.append(found[0][0])
         signs.append(found[0][1])
     return motors, signs

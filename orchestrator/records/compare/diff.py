@@ -53,9 +53,14 @@ def _experiment(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str,
     }
     connections = _connections(resolved["connections"], other["experiment_resolved"]["connections"])
     order = " ".join(name for name in components if name in common)
-    return {"master": resolved["master"], "order": order, "components": components,
-            "connections": {sink: v for sink, v in connections.items() if sink.partition(".")[0] in common},
-            "record": resolved["record"], "from": resolved.get("from", {})}  # fmt: skip
+    return {
+        "master": resolved["master"],
+        "order": order,
+        "components": components,
+        "connections": {sink: v for sink, v in connections.items() if sink.partition(".")[0] in common},
+        "record": resolved["record"],
+        "from": resolved.get("from", {}),
+    }
 
 
 def _connections(pairs: Iterable[tuple[str, str]], others: Iterable[tuple[str, str]]) -> dict[str, str]:

@@ -209,17 +209,23 @@ def _in_order(text: str) -> SupportsRichComparison:
 def as_json(comparison: Comparison) -> dict[str, Any]:
     runs = [
         {
-            "name": e.name, "file": str(e.path), "label": e.label, "status": e.status,
+            "name": e.name,
+            "file": str(e.path),
+            "label": e.label,
+            "status": e.status,
             **{name: e.attributes[name] for name in ("run_id", "experiment", "title", "error")},
             "metrics": finite({c.name: e.metrics[c] for c in comparison.columns if c in e.metrics}),
         }
         for e in comparison.entries
-    ]  # fmt: skip
+    ]
     columns = [
         {
-            "name": c.name, "of": c.of, "unit": c.unit or "1", "better": "smaller" if c.ranked else None,
+            "name": c.name,
+            "of": c.of,
+            "unit": c.unit or "1",
+            "better": "smaller" if c.ranked else None,
             "best": [e.name for e in comparison.best(c)],
         }
         for c in comparison.columns
-    ]  # fmt: skip
+    ]
     return {"runs": runs, "metrics": columns, "notes": comparison.notes}

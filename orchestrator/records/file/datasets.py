@@ -52,10 +52,17 @@ TIME = Signal("", "time", "real", (), "s", "simulated time", "independent")
 def signals_of(plan: Plan) -> tuple[Signal, ...]:
     """What a run records, in the order of the columns of its blocks."""
     return tuple(
-        Signal(component, name := variable.array if shape else variable.name, variable.kind, shape,
-               variable.unit or "1", variable.description or name, variable.causality)
+        Signal(
+            component,
+            name := variable.array if shape else variable.name,
+            variable.kind,
+            shape,
+            variable.unit or "1",
+            variable.description or name,
+            variable.causality,
+        )
         for component, variable, shape in _variables(plan)
-    )  # fmt: skip
+    )
 
 
 def _variables(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
@@ -106,9 +113,15 @@ def _dataset(group: Any, signal: Signal, rows: int) -> Any:
     """
     dtype = np.dtype(STORED.get(signal.kind, DTYPES[signal.kind]))
     dataset = create(
-        group, signal.name, shape=(1, *signal.shape), maxshape=(rows, *signal.shape), dtype=dtype,
-        chunks=signal.chunk(rows), fletcher32=h5py.check_string_dtype(dtype) is None, track_order=True,
-    )  # fmt: skip
+        group,
+        signal.name,
+        shape=(1, *signal.shape),
+        maxshape=(rows, *signal.shape),
+        dtype=dtype,
+        chunks=signal.chunk(rows),
+        fletcher32=h5py.check_string_dtype(dtype) is None,
+        track_order=True,
+    )
     dataset[0] = b"" if dtype.kind == "O" else 0
     dataset.id.set_extent((0, *signal.shape))
     return dataset

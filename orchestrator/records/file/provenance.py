@@ -25,18 +25,35 @@ def attributes_of(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str
     """What is known of a run before it begins."""
     experiment = plan.experiment
     attributes = {
-        "format": FORMAT, "format_version": FORMAT_VERSION, "run_id": run_id, "title": experiment.title,
-        "status": "running", "error": "", "created": _now(), "wall_time": math.nan, "real_time_factor": math.nan,
-        "algorithm": experiment.master.algorithm, "step": experiment.master.step, "experiment": experiment.path.stem,
-        "experiment_toml": experiment.text, "experiment_resolved": json.dumps(plan.resolved),
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "run_id": run_id,
+        "title": experiment.title,
+        "status": "running",
+        "error": "",
+        "created": _now(),
+        "wall_time": math.nan,
+        "real_time_factor": math.nan,
+        "algorithm": experiment.master.algorithm,
+        "step": experiment.master.step,
+        "experiment": experiment.path.stem,
+        "experiment_toml": experiment.text,
+        "experiment_resolved": json.dumps(plan.resolved),
         "versions": facts["versions"] if "versions" in facts else json.dumps(versions()),
         "git_commit": facts["git_commit"] if "git_commit" in facts else git_commit(experiment.path.parent),
-        "Conventions": "CF-1.11", "digest": plan.digest, "command": json.dumps(sys.argv),
-        "platform": platform.platform(), "pid": os.getpid(), "hostname": socket.gethostname(),
-        "metrics": "{}", "warnings": "[]", "timing": "{}",
-        "experiment_path": str(experiment.path.resolve()), "changes": json.dumps(experiment.changes),
+        "Conventions": "CF-1.11",
+        "digest": plan.digest,
+        "command": json.dumps(sys.argv),
+        "platform": platform.platform(),
+        "pid": os.getpid(),
+        "hostname": socket.gethostname(),
+        "metrics": "{}",
+        "warnings": "[]",
+        "timing": "{}",
+        "experiment_path": str(experiment.path.resolve()),
+        "changes": json.dumps(experiment.changes),
         "model_descriptions": json.dumps({part.fmu.sha256: part.fmu.description_xml for part in plan.parts}),
-    }  # fmt: skip
+    }
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed
     if plan.origin:

@@ -221,8 +221,13 @@ class Recorder:
 def _describe(file: h5py.File, plan: Plan, attributes: Mapping[str, Any]) -> None:
     describe(file, attributes)
     for part in plan.parts:
-        facts = {"fmu": part.fmu_name, "fmu_sha256": part.fmu.sha256, "fmi_version": part.fmu.fmi_version,
-                 "packaging": part.fmu.packaging, "parameters": json.dumps(dict(part.parameters))}  # fmt: skip
+        facts = {
+            "fmu": part.fmu_name,
+            "fmu_sha256": part.fmu.sha256,
+            "fmi_version": part.fmu.fmi_version,
+            "packaging": part.fmu.packaging,
+            "parameters": json.dumps(dict(part.parameters)),
+        }
         if any(v.causality == "calculatedParameter" for v in part.fmu.variables.values()):
             facts["calculated"] = "{}"
         describe(file[part.name], facts)

@@ -24,8 +24,17 @@ if TYPE_CHECKING:
 
 HEARD = "_heard"  # a group: what components heard from outside
 # Attributes in JSON.
-JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command", "changes", "model_descriptions",
-        "last_inputs")
+JSON = (
+    "experiment_resolved",
+    "versions",
+    "metrics",
+    "warnings",
+    "timing",
+    "command",
+    "changes",
+    "model_descriptions",
+    "last_inputs",
+)
 ID_LENGTH = 10
 
 T = TypeVar("T")

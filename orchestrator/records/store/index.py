@@ -21,8 +21,25 @@ NAME = ".index.sqlite"
 VERSION = 2  # of what is kept; another one is built anew
 TABLE = f"facts{VERSION}"
 FEW = 400  # files that one process reads while others would still start
-PLAIN = ("run_id", "experiment", "title", "status", "error", "created", "wall_time", "real_time_factor", "algorithm",
-         "step", "seed", "digest", "git_commit", "failed_at", "stopped_at", "hostname", "pid")  # fmt: skip
+PLAIN = (
+    "run_id",
+    "experiment",
+    "title",
+    "status",
+    "error",
+    "created",
+    "wall_time",
+    "real_time_factor",
+    "algorithm",
+    "step",
+    "seed",
+    "digest",
+    "git_commit",
+    "failed_at",
+    "stopped_at",
+    "hostname",
+    "pid",
+)
 DECODED = ("metrics", "versions", "warnings")
 # What is large and seldom asked for is kept, and decoded, by itself: thousands of records are listed without it.
 PLACES = {"metrics": "metrics", "components": "details", "versions": "details", "warnings": "details"}
@@ -157,8 +174,14 @@ def read(path: str) -> dict[str, Any]:
 def _nameless(path: str) -> dict[str, Any]:
     """What the place of a file says of it."""
     place = Path(path)
-    return {"run_id": place.stem, "experiment": place.parent.name, "created": "", "metrics": {}, "components": {},
-            "error": ""}  # fmt: skip
+    return {
+        "run_id": place.stem,
+        "experiment": place.parent.name,
+        "created": "",
+        "metrics": {},
+        "components": {},
+        "error": "",
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -23,8 +23,11 @@ TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_][\w.\[\],]*[\w\]]|[A-Za-z_])|(?P<sign>==|!=|<=|>=|<|>|\(|\)|\[|\]|,))"
 )
 ORDER: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-}  # fmt: skip
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
 WORDS = ("and", "or", "not", "in", "like", "true", "false")
 
 

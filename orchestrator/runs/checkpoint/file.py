@@ -63,8 +63,12 @@ class Checkpoint:
     @property
     def summary(self) -> dict[str, Any]:
         """What decides the numbers of a run that goes on from here."""
-        return {"run_id": self.run_id, "time": self.time, "checkpoint_sha256": self.about["digest"],
-                "fresh": list(self.fresh)}  # fmt: skip
+        return {
+            "run_id": self.run_id,
+            "time": self.time,
+            "checkpoint_sha256": self.about["digest"],
+            "fresh": list(self.fresh),
+        }
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -98,12 +102,19 @@ def save(system: System, tick: int, run_id: str, path: Path) -> None:
         components.append(_facts(system, member))
     values = json.dumps(components)
     about = {
-        "format": FORMAT, "format_version": FORMAT_VERSION, "digest": _digest(values.encode(), states),
-        "run_id": run_id, "time": experiment.grid.time(tick), "tick": tick,
-        "created": datetime.datetime.now(datetime.UTC).isoformat(), "versions": versions(),
-        "experiment": str(experiment.path.resolve()), "experiment_toml": experiment.text,
-        "changes": dict(experiment.changes), "master": plan.resolved["master"],
-    }  # fmt: skip
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "digest": _digest(values.encode(), states),
+        "run_id": run_id,
+        "time": experiment.grid.time(tick),
+        "tick": tick,
+        "created": datetime.datetime.now(datetime.UTC).isoformat(),
+        "versions": versions(),
+        "experiment": str(experiment.path.resolve()),
+        "experiment_toml": experiment.text,
+        "changes": dict(experiment.changes),
+        "master": plan.resolved["master"],
+    }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         archive.writestr(ABOUT, json.dumps(about, indent=1))
@@ -128,20 +139,29 @@ def _facts(system: System, member: Member) -> dict[str, Any]:
     kinds = {v.name: v.kind for v in part.fmu.variables.values()}
     values = {
         name: _plain(kinds[name], tables[kinds[name]][place])
-        for (component, name), place in system.places.items() if component == part.name
-    }  # fmt: skip
+        for (component, name), place in system.places.items()
+        if component == part.name
+    }
     return {
-        "name": part.name, "fmu": part.fmu_name, "fmu_sha256": part.fmu.sha256, "packaging": part.fmu.packaging,
-        "period": part.period, "parameters": dict(part.parameters), "start": dict(part.start),
-        "values": values, "given": _of_buffers(member.inputs), "computed": _of_buffers(member.outputs),
-    }  # fmt: skip
+        "name": part.name,
+        "fmu": part.fmu_name,
+        "fmu_sha256": part.fmu.sha256,
+        "packaging": part.fmu.packaging,
+        "period": part.period,
+        "parameters": dict(part.parameters),
+        "start": dict(part.start),
+        "values": values,
+        "given": _of_buffers(member.inputs),
+        "computed": _of_buffers(member.outputs),
+    }
 
 
 def _of_buffers(exchanges: Sequence[Any]) -> dict[str, Any]:
     return {
         variable.name: _plain(e.kind, value)
-        for e in exchanges for variable, value in zip(e.variables, e.buffer, strict=True)
-    }  # fmt: skip
+        for e in exchanges
+        for variable, value in zip(e.variables, e.buffer, strict=True)
+    }
 
 
 def _plain(kind: str, value: Any) -> Any:
@@ -176,8 +196,10 @@ def open_checkpoint(path: str | Path) -> Checkpoint:
             if about["format"] != FORMAT:
                 raise StoreError(f"{path} is no checkpoint of orch")
             if about["format_version"] != FORMAT_VERSION:
-                raise StoreError(f"{path} is a checkpoint of format {about['format_version']}, and this orch reads "
-                                 f"format {FORMAT_VERSION}: make it again with this orch")  # fmt: skip
+                raise StoreError(
+                    f"{path} is a checkpoint of format {about['format_version']}, and this orch reads "
+                    f"format {FORMAT_VERSION}: make it again with this orch"
+                )
             values = archive.read(VALUES)
             components = json.loads(values)
             states = [archive.read(f"states/{number}") for number in range(len(components))]

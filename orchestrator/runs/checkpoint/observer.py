@@ -42,8 +42,9 @@ class Saver(Watcher):
         """Of checkpoints that the run did not reach."""
         return [
             f"no checkpoint at t = {self._grid.time(tick):.10g} s: the run ended before"
-            for tick, path in self._due.items() if path not in self.saved
-        ]  # fmt: skip
+            for tick, path in self._due.items()
+            if path not in self.saved
+        ]
 
 
 def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
@@ -70,8 +71,9 @@ def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
     if ticks or problems:
         problems += [
             Problem(f"components.{part.name}", f"its state cannot be saved: {words}")
-            for part in plan.parts if (words := _unable(part))
-        ]  # fmt: skip
+            for part in plan.parts
+            if (words := _unable(part))
+        ]
     if problems:
         raise ExperimentError(experiment.path, problems)
     return sorted(ticks)

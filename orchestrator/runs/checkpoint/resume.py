@@ -26,9 +26,13 @@ if TYPE_CHECKING:
 
 
 def prepare(
-    start: str | Path, path: str | Path | None, set: Mapping[str, Any], swap: Mapping[str, str],
-    told: Callable[[str], None] = lambda _: None, packaging: str = "auto",
-) -> Plan:  # fmt: skip
+    start: str | Path,
+    path: str | Path | None,
+    set: Mapping[str, Any],
+    swap: Mapping[str, str],
+    told: Callable[[str], None] = lambda _: None,
+    packaging: str = "auto",
+) -> Plan:
     """The plan of a run that goes on from a checkpoint, its stale models built.
 
     start: the checkpoint.  path: the experiment; without one, that of the checkpoint, with `set` and `swap` laid over
@@ -44,8 +48,9 @@ def prepare(
     else:
         about = checkpoint.about
         kept = {key: value for key, value in about["changes"]["set"].items() if _component_of(key) not in swap}
-        loaded = experiments.parse(Path(about["experiment"]), about["experiment_toml"], {**kept, **set},
-                                   {**about["changes"]["swap"], **swap})  # fmt: skip
+        loaded = experiments.parse(
+            Path(about["experiment"]), about["experiment_toml"], {**kept, **set}, {**about["changes"]["swap"], **swap}
+        )
     known = build.known()
     packagings = {c.fmu: packaging for c in loaded.components if c.fmu in known}
     for c in loaded.components:
@@ -79,11 +84,21 @@ def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:
     master, here = plan.experiment.master, f"{checkpoint.path}"
     for key in ("step", "algorithm"):
         if getattr(master, key) != saved[key]:
-            problems.append(Problem(f"master.{key}", f"is {getattr(master, key)}, and was {saved[key]} in the run of "
-                                    f"{here}: a run goes on with what it began with"))  # fmt: skip
+            problems.append(
+                Problem(
+                    f"master.{key}",
+                    f"is {getattr(master, key)}, and was {saved[key]} in the run of "
+                    f"{here}: a run goes on with what it began with",
+                )
+            )
     if not problems and plan.steps <= checkpoint.tick:
-        problems.append(Problem("master.stop_time", f"is {master.stop_time:.10g} s, where {here} already is at "
-                                f"t = {checkpoint.time:.10g} s; --set master.stop_time=... goes further"))  # fmt: skip
+        problems.append(
+            Problem(
+                "master.stop_time",
+                f"is {master.stop_time:.10g} s, where {here} already is at "
+                f"t = {checkpoint.time:.10g} s; --set master.stop_time=... goes further",
+            )
+        )
     for name in checkpoint.components:
         if name not in names:
             problems.append(Problem(f"components.{name}", f"is missing; {here} has it"))
@@ -96,8 +111,9 @@ def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:
         needed[component].add(variable.name)
     for part in plan.parts:
         if part.name not in checkpoint.components:
-            problems.append(Problem(f"components.{part.name}", f"is not in {here}, which has: "
-                                    f"{', '.join(checkpoint.components)}"))  # fmt: skip
+            problems.append(
+                Problem(f"components.{part.name}", f"is not in {here}, which has: {', '.join(checkpoint.components)}")
+            )
         elif part.name in checkpoint.fresh:
             problems += _unfit_fresh(part, checkpoint, plan)
         else:
@@ -111,8 +127,13 @@ def _unfit_fresh(part: Part, checkpoint: Checkpoint, plan: Plan) -> list[Problem
     if checkpoint.tick % part.period == 0:
         return []
     grid = plan.experiment.grid
-    return [Problem(f"components.{part.name}.step", f"{checkpoint.time:.10g} s is within a step of {part.name}, of "
-                    f"{grid.time(part.period):.10g} s, so it cannot begin there")]  # fmt: skip
+    return [
+        Problem(
+            f"components.{part.name}.step",
+            f"{checkpoint.time:.10g} s is within a step of {part.name}, of "
+            f"{grid.time(part.period):.10g} s, so it cannot begin there",
+        )
+    ]
 
 
 def _unfit(part: Part, checkpoint: Checkpoint, driven: set[str], needed: set[str]) -> list[Problem]:
@@ -120,8 +141,13 @@ def _unfit(part: Part, checkpoint: Checkpoint, driven: set[str], needed: set[str
     was, key = checkpoint.components[part.name], f"components.{part.name}"
     hint = f"--swap {part.name}=FMU begins it anew"
     if part.live or part.fmu.sha256 != was["fmu_sha256"]:
-        return [Problem(f"{key}.fmu", f"{part.fmu_name} ({part.fmu.sha256[:10]}) is not the FMU of the checkpoint, "
-                        f"{was['fmu']} ({was['fmu_sha256'][:10]}); {hint}")]  # fmt: skip
+        return [
+            Problem(
+                f"{key}.fmu",
+                f"{part.fmu_name} ({part.fmu.sha256[:10]}) is not the FMU of the checkpoint, "
+                f"{was['fmu']} ({was['fmu_sha256'][:10]}); {hint}",
+            )
+        ]
     problems = []
     if part.period != was["period"]:
         words = f"is {part.period} steps of the master, and was {was['period']}; {hint}"

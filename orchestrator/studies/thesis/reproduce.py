@@ -95,8 +95,17 @@ def reproduce(
     study = thesis_steps.rows([record.metrics for record in studied]) if studied else []
     drawn = _draw(folder / "figures", selection.figures, main, study, tell)
     outside = [v.sentence() for v in verdicts if v.met is False] + [c.sentence() for c in claims if c.fails]
-    outcome = Outcome(folder, tuple(main), tuple(verdicts), tuple(claims), selection.figures, drawn, tuple(outside),
-                      tuple(study), quick)  # fmt: skip
+    outcome = Outcome(
+        folder,
+        tuple(main),
+        tuple(verdicts),
+        tuple(claims),
+        selection.figures,
+        drawn,
+        tuple(outside),
+        tuple(study),
+        quick,
+    )
     _write(outcome, selection)
     return outcome
 
@@ -118,8 +127,10 @@ def select(only: Sequence[str], quick: bool = False) -> Selection:
         elif number in FIGURES and not kind.startswith("tab"):
             found = replace(found, figures=(*found.figures, number))
         else:
-            raise OrchError(f"--only {name}: there are the tables 5.2 to 5.7 (5.2, table5.2), the figures 5.1 to 5.80 "
-                            "(5.57, fig5.2), claims and steps")  # fmt: skip
+            raise OrchError(
+                f"--only {name}: there are the tables 5.2 to 5.7 (5.2, table5.2), the figures 5.1 to 5.80 "
+                "(5.57, fig5.2), claims and steps"
+            )
     return found
 
 
@@ -225,20 +236,34 @@ def report(outcome: Outcome, folder: str) -> str:
 def summary(outcome: Outcome) -> dict[str, Any]:
     """The whole as JSON holds it."""
     return {
-        "passed": not outcome.outside, "quick": outcome.quick, "counts": outcome.counts,
+        "passed": not outcome.outside,
+        "quick": outcome.quick,
+        "counts": outcome.counts,
         "outside": list(outcome.outside),
         "cases": {
-            r.case.name: {"record": f"{r.path.parent.name}/{r.path.name}", "run_id": r.path.stem,
-                          "step": r.plan.experiment.master.step, "warnings": list(r.warnings)}
+            r.case.name: {
+                "record": f"{r.path.parent.name}/{r.path.name}",
+                "run_id": r.path.stem,
+                "step": r.plan.experiment.master.step,
+                "warnings": list(r.warnings),
+            }
             for r in outcome.records
         },
         "cells": [
-            {"table": v.cell.table, "case": v.cell.case, "quantity": v.cell.quantity, "unit": v.cell.unit,
-             "published": v.cell.corrected, "ours": v.ours,
-             "relative_error": v.error if math.isfinite(v.error) else None, "band": v.cell.band, "verdict": v.word}
+            {
+                "table": v.cell.table,
+                "case": v.cell.case,
+                "quantity": v.cell.quantity,
+                "unit": v.cell.unit,
+                "published": v.cell.corrected,
+                "ours": v.ours,
+                "relative_error": v.error if math.isfinite(v.error) else None,
+                "band": v.cell.band,
+                "verdict": v.word,
+            }
             for v in outcome.verdicts
         ],
         "claims": [claim.as_json() for claim in outcome.claims],
         "figures": {n: {"title": FIGURES[n].title, "file": f"figures/{FIGURES[n].stem}.png"} for n in outcome.figures},
         "step_study": [dict(row) for row in outcome.study],
-    }  # fmt: skip
+    }

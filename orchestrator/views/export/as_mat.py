@@ -20,9 +20,27 @@ from .content import Content, Signal, unique, vectors
 
 LONGEST = 63  # characters of a name in MATLAB
 KEYWORDS = {
-    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
-    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
-}  # fmt: skip
+    "break",
+    "case",
+    "catch",
+    "classdef",
+    "continue",
+    "else",
+    "elseif",
+    "end",
+    "for",
+    "function",
+    "global",
+    "if",
+    "otherwise",
+    "parfor",
+    "persistent",
+    "return",
+    "spmd",
+    "switch",
+    "try",
+    "while",
+}
 TEXT = 116  # bytes of the text that a file begins with; scipy writes the date there
 ABOUT = ("units", "names", "axes")
 
@@ -43,8 +61,13 @@ def write(content: Content, target: Path) -> None:
     facts = {name[:LONGEST]: value for name, value in content.facts.items()}
     try:
         with target.open("wb") as file:
-            savemat(file, {"time": content.time, **variables, **whole, "run": facts}, long_field_names=True,
-                    do_compression=True, oned_as="column")  # fmt: skip
+            savemat(
+                file,
+                {"time": content.time, **variables, **whole, "run": facts},
+                long_field_names=True,
+                do_compression=True,
+                oned_as="column",
+            )
             file.seek(0)
             file.write(f"MATLAB 5.0 MAT-file, written by orch of run {content.run.run_id}".encode().ljust(TEXT)[:TEXT])
     except MatWriteError as error:

@@ -19,9 +19,22 @@ if TYPE_CHECKING:
 
 # Attributes that go with the signals: those that are the same whenever, and wherever, the run is repeated.
 FACTS = (
-    "run_id", "digest", "title", "experiment", "status", "error", "failed_at", "stopped_at", "algorithm", "step",
-    "seed", "experiment_toml", "experiment_resolved", "metrics", "warnings",
-)  # fmt: skip
+    "run_id",
+    "digest",
+    "title",
+    "experiment",
+    "status",
+    "error",
+    "failed_at",
+    "stopped_at",
+    "algorithm",
+    "step",
+    "seed",
+    "experiment_toml",
+    "experiment_resolved",
+    "metrics",
+    "warnings",
+)
 
 
 @dataclass(frozen=True)
@@ -98,8 +111,10 @@ def _signal(run: Run, name: str) -> Signal:
         kind = "string"
     else:
         kind = "boolean" if dataset.dtype == np.int8 else "real" if dataset.dtype.kind == "f" else "integer"
-    about = {key: str(dataset.attrs.get(key, default)) for key, default in
-             (("units", "1"), ("long_name", variable), ("causality", ""))}  # fmt: skip
+    about = {
+        key: str(dataset.attrs.get(key, default))
+        for key, default in (("units", "1"), ("long_name", variable), ("causality", ""))
+    }
     return Signal(run, component, variable, kind, about["units"], about["long_name"], about["causality"])
 
 

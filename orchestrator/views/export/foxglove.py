@@ -27,15 +27,22 @@ def _object(title: str = "", /, **properties: Any) -> dict[str, Any]:
 
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-_TIME = _object("time", sec={"type": "integer", "minimum": 0},
-                nsec={"type": "integer", "minimum": 0, "maximum": NANOSECONDS - 1})  # fmt: skip
+_TIME = _object(
+    "time", sec={"type": "integer", "minimum": 0}, nsec={"type": "integer", "minimum": 0, "maximum": NANOSECONDS - 1}
+)
 _VECTOR = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
 _QUATERNION = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
 _POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
 POSE = _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
 TRACK = _object("foxglove.PosesInFrame", timestamp=_TIME, frame_id=_TEXT, poses={"type": "array", "items": _POSE})
-FRAME = _object("foxglove.FrameTransform", timestamp=_TIME, parent_frame_id=_TEXT, child_frame_id=_TEXT,
-                translation=_VECTOR, rotation=_QUATERNION)  # fmt: skip
+FRAME = _object(
+    "foxglove.FrameTransform",
+    timestamp=_TIME,
+    parent_frame_id=_TEXT,
+    child_frame_id=_TEXT,
+    translation=_VECTOR,
+    rotation=_QUATERNION,
+)
 
 
 def poses(eta: Mapping[str, Array]) -> list[dict[str, Any]]:
@@ -70,5 +77,10 @@ def track(nanoseconds: int, poses: Sequence[Mapping[str, Any]]) -> dict[str, Any
 
 def frame(nanoseconds: int, name: str, pose: Mapping[str, Any]) -> dict[str, Any]:
     """The body of a vehicle in the world."""
-    return {"timestamp": stamp(nanoseconds), "parent_frame_id": WORLD, "child_frame_id": name,
-            "translation": pose["position"], "rotation": pose["orientation"]}  # fmt: skip
+    return {
+        "timestamp": stamp(nanoseconds),
+        "parent_frame_id": WORLD,
+        "child_frame_id": name,
+        "translation": pose["position"],
+        "rotation": pose["orientation"],
+    }

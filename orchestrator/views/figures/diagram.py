@@ -31,8 +31,19 @@ svg { font-family: system-ui, "Segoe UI", "DejaVu Sans", sans-serif; font-size: 
 .arrow { fill: none; stroke: #5c6b73; stroke-width: 1.3; } .arrow.back { stroke-dasharray: 5 3; }
 .vector { text-anchor: middle; fill: #1c2529; font-size: 11.5px; stroke: #fff; stroke-width: 4px; paint-order: stroke; }
 """
-RESERVED = {"end", "graph", "subgraph", "flowchart", "default", "class", "classDef", "style", "click", "linkStyle",
-            "direction"}  # what Mermaid does not take as a node's name
+RESERVED = {
+    "end",
+    "graph",
+    "subgraph",
+    "flowchart",
+    "default",
+    "class",
+    "classDef",
+    "style",
+    "click",
+    "linkStyle",
+    "direction",
+}  # what Mermaid does not take as a node's name
 Arrows = dict[tuple[str, str], list[str]]  # {(source, sink): names of the vectors}
 
 

@@ -136,8 +136,17 @@ def _write_head(figure: Figure, runs: Sequence[Run], legends: Sequence[list[Line
         figure.text(LEFT, 1 - down / height, text, va="top", parse_math=False, **style)
     down = 0.62
     for keys in legends:
-        figure.legend(handles=keys, loc="upper left", bbox_to_anchor=(LEFT, 1 - down / height), ncols=_columns(keys),
-                      borderaxespad=0, borderpad=0, handlelength=2.0, columnspacing=1.6, labelspacing=0.3)  # fmt: skip
+        figure.legend(
+            handles=keys,
+            loc="upper left",
+            bbox_to_anchor=(LEFT, 1 - down / height),
+            ncols=_columns(keys),
+            borderaxespad=0,
+            borderpad=0,
+            handlelength=2.0,
+            columnspacing=1.6,
+            labelspacing=0.3,
+        )
         down += 0.06 + LINE * -(-len(keys) // _columns(keys))
 
 

@@ -136,8 +136,18 @@ def draw_chart(ax: Axes, traces: Sequence[Trace]) -> None:
         x, y, psi = eta["x"], eta["y"], eta["psi"]
         way = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
         at = np.searchsorted(way, np.linspace(0.0, way[-1], max(4, min(HEADINGS, 2 * HEADINGS // len(traces)))))
-        ax.quiver(y[at], x[at], np.sin(psi[at]), np.cos(psi[at]), color=trace.colour, units="inches", width=0.022,
-                  scale=4.0, scale_units="inches", zorder=4)  # fmt: skip
+        ax.quiver(
+            y[at],
+            x[at],
+            np.sin(psi[at]),
+            np.cos(psi[at]),
+            color=trace.colour,
+            units="inches",
+            width=0.022,
+            scale=4.0,
+            scale_units="inches",
+            zorder=4,
+        )
         ax.plot(y[0], x[0], "o", color=trace.colour, markerfacecolor="white", zorder=5)
         ax.plot(y[-1], x[-1], "s", color=trace.colour, zorder=5)
     (west, east), (south, north) = _extent(traces, "y", margin=0.1), _extent(traces, "x", margin=0.1)
@@ -169,8 +179,18 @@ def _draw_current(ax: Axes, traces: Sequence[Trace]) -> None:
         length = np.hypot(north, east)
         if length:
             shade = "#222222" if len(members) == len(traces) else members[0].colour
-            inset.quiver(0, 0.4, east / length, north / length, color=shade, units="inches", width=0.035, scale=2.2,
-                         scale_units="inches", pivot="mid")  # fmt: skip
+            inset.quiver(
+                0,
+                0.4,
+                east / length,
+                north / length,
+                color=shade,
+                units="inches",
+                width=0.035,
+                scale=2.2,
+                scale_units="inches",
+                pivot="mid",
+            )
     steady = all(np.ptp(part) < 1e-3 for trace in traces for part in trace.vehicle.v_c.values())
     speeds = ", ".join(f"{np.linalg.norm(velocity):.2f}" for velocity in currents)
     name = "current" if steady else "mean current"

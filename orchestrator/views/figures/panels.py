@@ -22,13 +22,31 @@ GREY = "#606060"
 DESIRED: dict[str, Any] = {"color": "#1a1a1a", "linewidth": 0.8, "linestyle": (0, (4, 3)), "zorder": 3}
 DENSE: dict[str, Any] = {"linewidth": 0.8, "alpha": 0.8}  # for commands that chatter
 STYLE: Any = {
-    "font.size": 9, "axes.labelsize": 9, "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 9,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#999999", "axes.linewidth": 0.7,
-    "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6, "axes.axisbelow": True, "axes.xmargin": 0,
-    "xtick.color": "#999999", "ytick.color": "#999999", "xtick.labelcolor": "#333333", "ytick.labelcolor": "#333333",
-    "axes.titlesize": 9, "axes.titlelocation": "left", "legend.frameon": False, "lines.linewidth": 1.5,
-    "svg.hashsalt": "orch", "pdf.fonttype": 42,
-}  # fmt: skip
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#999999",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0,
+    "xtick.color": "#999999",
+    "ytick.color": "#999999",
+    "xtick.labelcolor": "#333333",
+    "ytick.labelcolor": "#333333",
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "svg.hashsalt": "orch",
+    "pdf.fonttype": 42,
+}
 MAX_POINTS = 5000  # of a line; a longer signal is thinned to the extremes of each stretch
 SYMBOLS = {"phi": r"\phi", "theta": r"\theta", "psi": r"\psi"}
 
@@ -100,8 +118,15 @@ def _draw(ax: Axes, panel: Panel) -> None:
     ax.set_title(panel.title)
     labelled = ax.get_legend_handles_labels()[1]
     if labelled:
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1 + (len(labelled) - 1) // 7, fontsize=8,
-                  handlelength=1.2, labelspacing=0.2, columnspacing=1.0)  # fmt: skip
+        ax.legend(
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            ncols=1 + (len(labelled) - 1) // 7,
+            fontsize=8,
+            handlelength=1.2,
+            labelspacing=0.2,
+            columnspacing=1.0,
+        )
 
 
 def _thin(time: Array, values: Array) -> tuple[Array, Array]:

@@ -87,8 +87,9 @@ def _errors(fleet: Fleet) -> list[dict[str, Any]]:
         letter = LETTERS.get(axis, axis)
         curves = [
             _curve(fleet, i, vehicle.name, run.time, (vehicle.eta[axis] - vehicle.eta_d[axis]) * factor)
-            for i, run, vehicle in _each(fleet) if axis in vehicle.eta_d
-        ]  # fmt: skip
+            for i, run, vehicle in _each(fleet)
+            if axis in vehicle.eta_d
+        ]
         panels.append(_panel(f"{letter} - {letter}_d", unit, curves, down=axis == "z"))
     return [panel for panel in panels if panel["curves"]]
 
@@ -96,10 +97,17 @@ def _errors(fleet: Fleet) -> list[dict[str, Any]]:
 def _thrusters(fleet: Fleet) -> list[dict[str, Any]]:
     axes = dict.fromkeys(axis for _, _, vehicle in _each(fleet) for axis in vehicle.u)
     return [
-        _panel(axis, "1", [_curve(fleet, i, vehicle.name, run.time, vehicle.u[axis])
-                           for i, run, vehicle in _each(fleet) if axis in vehicle.u])
+        _panel(
+            axis,
+            "1",
+            [
+                _curve(fleet, i, vehicle.name, run.time, vehicle.u[axis])
+                for i, run, vehicle in _each(fleet)
+                if axis in vehicle.u
+            ],
+        )
         for axis in axes
-    ]  # fmt: skip
+    ]
 
 
 def _formation(fleet: Fleet) -> list[dict[str, Any]]:
@@ -128,8 +136,9 @@ def _velocities(fleet: Fleet) -> list[dict[str, Any]]:
         unit, factor = ("m/s", 1.0) if axis in "uvw" else ("deg/s", DEG)
         curves = [
             _curve(fleet, i, vehicle.name, run.time, run[f"{vehicle.name}.nu.{axis}"] * factor)
-            for i, run, vehicle in _each(fleet) if f"{vehicle.name}.nu.{axis}" in run.signals
-        ]  # fmt: skip
+            for i, run, vehicle in _each(fleet)
+            if f"{vehicle.name}.nu.{axis}" in run.signals
+        ]
         panels.append(_panel(axis, unit, curves))
     return [panel for panel in panels if panel["curves"]]
 
@@ -170,9 +179,14 @@ def _panel(
 
 
 def _curve(
-    fleet: Fleet, run: int, vehicle: str, time: Array, values: Array,
-    desired: bool = False, keys: Sequence[str] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    fleet: Fleet,
+    run: int,
+    vehicle: str,
+    time: Array,
+    values: Array,
+    desired: bool = False,
+    keys: Sequence[str] | None = None,
+) -> dict[str, Any]:
     name = f"{vehicle} reference" if desired else vehicle
     own: dict[str, Any] = {
         "name": name if len(fleet) == 1 else f"{fleet[run][0].run_id} {name}",

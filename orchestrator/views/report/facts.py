@@ -75,13 +75,17 @@ def provenance(runs: Sequence[Run]) -> str:
     for i, run in enumerate(runs):
         facts = run.attributes
         made = [
-            ("record", escape(short(run.path))), ("run id", _code(run.run_id)), ("digest", _code(str(facts["digest"]))),
-            ("created", escape(str(facts["created"]))), ("command", _code(shlex.join(facts["command"]))),
+            ("record", escape(short(run.path))),
+            ("run id", _code(run.run_id)),
+            ("digest", _code(str(facts["digest"]))),
+            ("created", escape(str(facts["created"]))),
+            ("command", _code(shlex.join(facts["command"]))),
             ("git commit", _code(str(facts["git_commit"])) if facts["git_commit"] else "unknown"),
             ("versions", escape(", ".join(f"{name} {version}" for name, version in facts["versions"].items()))),
-            ("platform", escape(str(facts["platform"]))), ("seed", escape(str(facts.get("seed", "")))),
+            ("platform", escape(str(facts["platform"]))),
+            ("seed", escape(str(facts.get("seed", "")))),
             ("rows", f"{len(run.time)} of {len(run.signals)} signals"),
-        ]  # fmt: skip
+        ]
         listed = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in made if value)
         whole = f'<dl>{listed}</dl>{_components(run)}<details><summary>Experiment file</summary><pre tabindex="0">'
         whole += f"{escape(str(facts['experiment_toml']))}</pre></details>"
@@ -99,10 +103,15 @@ def _components(run: Run) -> str:
         attributes = run.file[name].attrs if name in run.file else {}  # a component of which nothing was recorded
         packed = " ".join(str(attributes.get(key, "")) for key in ("packaging", "fmi_version"))
         parameters = ", ".join(f"{k} = {json.dumps(v)}" for k, v in component.get("parameters", {}).items())
-        rows.append([
-            escape(name), escape(fmu), escape(packed),
-            f'<code title="{escape(digest)}">{escape(digest[:CUT])}</code>', f"<small>{escape(parameters)}</small>",
-        ])  # fmt: skip
+        rows.append(
+            [
+                escape(name),
+                escape(fmu),
+                escape(packed),
+                f'<code title="{escape(digest)}">{escape(digest[:CUT])}</code>',
+                f"<small>{escape(parameters)}</small>",
+            ]
+        )
     heads = ["component", "FMU", "packaging, FMI", "SHA-256", "parameters"]
     return table(heads, rows, words=range(5)) if rows else ""
 

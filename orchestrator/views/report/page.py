@@ -72,9 +72,10 @@ def _diagrams(runs: Sequence[Run]) -> str:
     several = len(drawn) > 1
     figures = [
         f'<figure class="scroll" tabindex="0">{svg}'
-        + (f"<figcaption>{escape(', '.join(whose))}</figcaption>" if several else "") + "</figure>"
+        + (f"<figcaption>{escape(', '.join(whose))}</figcaption>" if several else "")
+        + "</figure>"
         for svg, whose in drawn.items()
-    ]  # fmt: skip
+    ]
     return f'<section id="system"><h2>System</h2>{"".join(figures)}</section>' if figures else ""
 
 

@@ -110,8 +110,11 @@ def _numbers(shown: Grid, k: int, width: int) -> _Column:
     fair = (width - stubs) // len(shown.heads) - GAP - 1
     words = [len(word) for text in rest for word in text.split()]
     wide = max(len(first), *(len(text) - 1 for text in body), min(HEAD, max(fair, *words, 0)))
-    return _Column([f"{line} " for line in (first, *(line for text in rest for line in textwrap.wrap(text, wide)))],
-                   body, is_number=True)  # fmt: skip
+    return _Column(
+        [f"{line} " for line in (first, *(line for text in rest for line in textwrap.wrap(text, wide)))],
+        body,
+        is_number=True,
+    )
 
 
 def _fitting(columns: Sequence[_Column], room: int) -> Iterator[list[_Column]]:

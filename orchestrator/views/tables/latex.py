@@ -7,10 +7,23 @@ import re
 from collections.abc import Sequence
 
 UNITS = {
-    "m": r"\metre", "mm": r"\milli\metre", "cm": r"\centi\metre", "rad": r"\radian", "deg": r"\degree", "s": r"\second",
-    "N": r"\newton", "Pa": r"\pascal", "J": r"\joule", "W": r"\watt", "V": r"\volt", "A": r"\ampere", "Hz": r"\hertz",
-    "kg": r"\kilogram", "K": r"\kelvin", "%": r"\percent",
-}  # fmt: skip
+    "m": r"\metre",
+    "mm": r"\milli\metre",
+    "cm": r"\centi\metre",
+    "rad": r"\radian",
+    "deg": r"\degree",
+    "s": r"\second",
+    "N": r"\newton",
+    "Pa": r"\pascal",
+    "J": r"\joule",
+    "W": r"\watt",
+    "V": r"\volt",
+    "A": r"\ampere",
+    "Hz": r"\hertz",
+    "kg": r"\kilogram",
+    "K": r"\kelvin",
+    "%": r"\percent",
+}
 POWERS = {"": "", "2": r"\squared", "3": r"\cubed"}
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "…": r"\ldots{}"}
 SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
@@ -54,10 +67,14 @@ def table(
     """corner: the first line above `stubs`; heads: lines above each column of `rows`; formats: of these columns."""
     columns = "l" * len(corner) + "".join(f"S[table-format = {form}]" for form in formats)
     lines = [
-        r"% \usepackage{booktabs, siunitx}", r"\begin{table}", r"  \centering",
-        r"  \sisetup{detect-weight = true}", rf"  \caption{{{caption}}}",
-        rf"  \begin{{tabular}}{{{columns}}}", r"    \toprule",
-    ]  # fmt: skip
+        r"% \usepackage{booktabs, siunitx}",
+        r"\begin{table}",
+        r"  \centering",
+        r"  \sisetup{detect-weight = true}",
+        rf"  \caption{{{caption}}}",
+        rf"  \begin{{tabular}}{{{columns}}}",
+        r"    \toprule",
+    ]
     for i, line in enumerate(itertools.zip_longest(*heads, fillvalue="")):
         names = corner if i == 0 else [""] * len(corner)
         lines.append(_row([*names, *(f"{{{text}}}" if text else "" for text in line)]))

@@ -85,8 +85,14 @@ class Design:
     def identity(self) -> dict[str, Any]:
         """What makes two sweeps the same: not the number of draws where more of them only add to the table."""
         lists = sorted([list(keys), [list(row) for row in rows]] for keys, rows in self.lists)
-        return {"design": self.method, "seed": self.seed, "lists": lists, "distributions": dict(self.distributions),
-                "skip": self.skip, "draws": self.draws if self.method == "lhs" else None}  # fmt: skip
+        return {
+            "design": self.method,
+            "seed": self.seed,
+            "lists": lists,
+            "distributions": dict(self.distributions),
+            "skip": self.skip,
+            "draws": self.draws if self.method == "lhs" else None,
+        }
 
 
 def read(table: Mapping[str, Any]) -> tuple[Design, list[Problem]]:
@@ -144,23 +150,30 @@ class _Reader:
                 self.distribution(where, value)
                 distributions[key] = value
             else:
-                hint = "give a list of values, or a table such as { distribution = \"uniform\", low = 0.0, high = 1.0 }"
+                hint = 'give a list of values, or a table such as { distribution = "uniform", low = 0.0, high = 1.0 }'
                 self.problem(where, f"is {value!r}; {hint}")
         self.overlaps([*lists, *distributions])
         draws = self.draws(table, bool(distributions))
         return Design(
-            draws, self.one_of(table, "design", DESIGNS), self.whole(table, "seed", 0, None),
-            self.one_of(table, "keep", KEEP), self.groups(table.get("zip", []), lists, distributions), distributions,
+            draws,
+            self.one_of(table, "design", DESIGNS),
+            self.whole(table, "seed", 0, None),
+            self.one_of(table, "keep", KEEP),
+            self.groups(table.get("zip", []), lists, distributions),
+            distributions,
             self.whole(table, "skip", 0, 0),
-        )  # fmt: skip
+        )
 
     def draws(self, table: Mapping[str, Any], random: bool) -> int:
         if random and "draws" not in table:
             self.problem("draws", "is missing; say how many draws of the distributions to run")
         draws = self.whole(table, "draws", 1, 1)
         if not random and draws != 1:
-            self.problem("draws", f"is {draws}, but no value in sweep.vary is a distribution: all would be one run; "
-                         'leave it out, or vary "master.seed" by { distribution = "integer", ... }')  # fmt: skip
+            self.problem(
+                "draws",
+                f"is {draws}, but no value in sweep.vary is a distribution: all would be one run; "
+                'leave it out, or vary "master.seed" by { distribution = "integer", ... }',
+            )
         return draws
 
     def groups(

@@ -78,8 +78,10 @@ def _sobol(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
 
 
 _SAMPLERS: dict[str, Callable[[Sequence[str], int, int], Iterator[Array]]] = {
-    "random": _random, "lhs": _lhs, "sobol": _sobol,
-}  # fmt: skip
+    "random": _random,
+    "lhs": _lhs,
+    "sobol": _sobol,
+}
 DESIGNS = tuple(_SAMPLERS)
 
 

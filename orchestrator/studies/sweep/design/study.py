@@ -66,8 +66,16 @@ class Study:
     def job(self, results: str, facts: Mapping[str, str]) -> Job:
         e = self.experiment
         address = f"{results.rstrip('/')}/{self.folder}"
-        return Job(str(e.path.resolve()), e.text, e.changes["set"], e.changes["swap"], self.fmus, address,
-                   self.design.keep, facts)  # fmt: skip
+        return Job(
+            str(e.path.resolve()),
+            e.text,
+            e.changes["set"],
+            e.changes["swap"],
+            self.fmus,
+            address,
+            self.design.keep,
+            facts,
+        )
 
     @property
     def keys(self) -> list[str]:
@@ -78,14 +86,25 @@ class Study:
         """sweep.json: what is needed to read the table, and to know what it is."""
         e, d = self.experiment, self.design
         return {
-            "format": FORMAT, "format_version": 1, "sweep_id": self.sweep_id, "experiment": e.path.stem,
-            "title": e.title, "experiment_toml": e.text, "changes": e.changes, "draws": d.draws,
-            "skip": d.skip, "design": d.method, "seed": d.seed, "keep": d.keep, "keys": self.keys,
+            "format": FORMAT,
+            "format_version": 1,
+            "sweep_id": self.sweep_id,
+            "experiment": e.path.stem,
+            "title": e.title,
+            "experiment_toml": e.text,
+            "changes": e.changes,
+            "draws": d.draws,
+            "skip": d.skip,
+            "design": d.method,
+            "seed": d.seed,
+            "keep": d.keep,
+            "keys": self.keys,
             "labels": labels(self.keys),
             "lists": [[list(keys), [list(row) for row in rows]] for keys, rows in d.lists],
-            "distributions": d.distributions, "fmus": self.fmus,
+            "distributions": d.distributions,
+            "fmus": self.fmus,
             "metrics": [{"name": c.name, "of": c.of, "unit": c.unit, "ranked": c.ranked} for c in self.columns],
-        }  # fmt: skip
+        }
 
 
 def prepare(
@@ -98,8 +117,17 @@ def prepare(
     """Read, build and check.  Raises ExperimentError with the problems of [sweep] and of every combination at once."""
     experiment = load(path, set, swap)
     if not experiment.sweep:
-        raise ExperimentError(path, [*experiment.problems, Problem("sweep", "is missing; say under [sweep.vary] what "
-                              'varies, such as "components.controller.fmu" = ["pid", "mfsosmc"]')])  # fmt: skip
+        raise ExperimentError(
+            path,
+            [
+                *experiment.problems,
+                Problem(
+                    "sweep",
+                    "is missing; say under [sweep.vary] what "
+                    'varies, such as "components.controller.fmu" = ["pid", "mfsosmc"]',
+                ),
+            ],
+        )
     design, problems = designs.read(experiment.sweep)
     varying = [*design.distributions, *(key for keys, _ in design.lists for key in keys)]
     problems += _overruled(varying, experiment)
@@ -110,8 +138,15 @@ def prepare(
     plans = _plans(experiment, design, packaging, told)
     live = sorted({part.name for plan in plans for part in plan.parts if part.live})
     if live:
-        raise ExperimentError(path, [Problem(f"components.{name}", "is steered from outside; runs of a sweep must give "
-                              "the same numbers again") for name in live])  # fmt: skip
+        raise ExperimentError(
+            path,
+            [
+                Problem(
+                    f"components.{name}", "is steered from outside; runs of a sweep must give the same numbers again"
+                )
+                for name in live
+            ],
+        )
     fmus = {part.fmu_name: part.fmu.sha256 for plan in plans for part in plan.parts}
     files = {part.fmu.sha256: part.fmu.path for plan in plans for part in plan.parts}
     deciding = {"runs": [plan.digest for plan in plans], **design.identity}
@@ -145,9 +180,7 @@ def _overruled(varying: Sequence[str], experiment: Experiment) -> list[Problem]:
     return [Problem(option, "varies in the sweep; change [sweep.vary] instead") for option in given]
 
 
-def _plans(
-    experiment: Experiment, design: Design, packaging: str, told: Callable[[str], None]
-) -> list[Plan]:
+def _plans(experiment: Experiment, design: Design, packaging: str, told: Callable[[str], None]) -> list[Plan]:
     """The first draw of every combination.  Raises ExperimentError with the problems of all."""
     first = replace(design, draws=1) if design.method != "lhs" else design
     runs = [run for run in first.runs() if run.draw == design.skip]
@@ -175,10 +208,13 @@ def _plans(
                 key = f'sweep.vary."{key}"' if key in run.values else problem.key
                 found.setdefault((key, problem.sentence), []).append(where)
     if found:
-        raise ExperimentError(experiment.path, [
-            Problem(key, sentence if len(where) == len(runs) else f"{sentence} (with {'; '.join(where[:3])})")
-            for (key, sentence), where in found.items()
-        ])  # fmt: skip
+        raise ExperimentError(
+            experiment.path,
+            [
+                Problem(key, sentence if len(where) == len(runs) else f"{sentence} (with {'; '.join(where[:3])})")
+                for (key, sentence), where in found.items()
+            ],
+        )
     return plans
 
 

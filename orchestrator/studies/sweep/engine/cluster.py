@@ -30,22 +30,37 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         raise OrchError(MISSING) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what ends and begins is told by us
     # One worker that dies is no reason to give up what it ran; `engine` tells a run that kills every worker.
-    dask.config.set({"distributed.scheduler.allowed-failures": 2, "distributed.comm.timeouts.connect": f"{PATIENCE}s",
-                     "distributed.worker.daemon": True, "distributed.scheduler.worker-saturation": 1.0})  # fmt: skip
+    dask.config.set(
+        {
+            "distributed.scheduler.allowed-failures": 2,
+            "distributed.comm.timeouts.connect": f"{PATIENCE}s",
+            "distributed.worker.daemon": True,
+            "distributed.scheduler.worker-saturation": 1.0,
+        }
+    )
     with contextlib.ExitStack() as stack:
         if scheduler is None:
-            cluster = stack.enter_context(LocalCluster(
-                n_workers=workers or cores(), threads_per_worker=1, processes=True, dashboard_address=None,
-                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
-            ))  # fmt: skip
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers or cores(),
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                    host="127.0.0.1",
+                )
+            )
             found = stack.enter_context(Client(cluster))
         else:
             try:
                 found = stack.enter_context(Client(scheduler, timeout=PATIENCE))
                 found.wait_for_workers(1, timeout=PATIENCE)
             except (OSError, TimeoutError, ValueError, ImportError) as error:
-                raise OrchError(f"--scheduler {scheduler}: {_words(error)}; start one by: dask scheduler, and workers "
-                                "by: dask worker ADDRESS --nthreads 1") from None  # fmt: skip
+                raise OrchError(
+                    f"--scheduler {scheduler}: {_words(error)}; start one by: dask scheduler, and workers "
+                    "by: dask worker ADDRESS --nthreads 1"
+                ) from None
         yield found
 
 

@@ -34,8 +34,9 @@ class Performed:
     metrics: Mapping[str, float]
 
 
-def perform(plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt,
-            shelf: Shelf) -> Performed:  # fmt: skip
+def perform(
+    plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt, shelf: Shelf
+) -> Performed:
     """Run a plan into a record at `path`.
 
     keep: "full"; "decimated", with every n-th row; or "metrics", without rows.  Metrics are those of all rows.

@@ -242,15 +242,39 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         return value if math.isfinite(value) else None
 
     summaries = [
-        {"contender": s.contender, "metric": s.metric.name, "unit": s.metric.unit, "n": s.n, "mean": number(s.mean),
-         "std": number(s.std), "median": number(s.median), "ci95": [number(s.low), number(s.high)]}
+        {
+            "contender": s.contender,
+            "metric": s.metric.name,
+            "unit": s.metric.unit,
+            "n": s.n,
+            "mean": number(s.mean),
+            "std": number(s.std),
+            "median": number(s.median),
+            "ci95": [number(s.low), number(s.high)],
+        }
         for s in analysis.summaries
-    ]  # fmt: skip
+    ]
     pairs = [
-        {"first": p.first, "second": p.second, "metric": p.metric.name, "n": p.n, "difference": number(p.difference),
-         "ci95": [number(p.low), number(p.high)], "p": number(p.p), "p_holm": number(p.p_holm),
-         "effect": number(p.effect), "smaller": p.smaller or None}
+        {
+            "first": p.first,
+            "second": p.second,
+            "metric": p.metric.name,
+            "n": p.n,
+            "difference": number(p.difference),
+            "ci95": [number(p.low), number(p.high)],
+            "p": number(p.p),
+            "p_holm": number(p.p_holm),
+            "effect": number(p.effect),
+            "smaller": p.smaller or None,
+        }
         for p in analysis.pairs
-    ]  # fmt: skip
-    return {"sweep_id": analysis.table.sweep_id, "by": analysis.by, "contenders": analysis.contenders,
-            "failures": analysis.failures, "summaries": summaries, "pairs": pairs, "notes": analysis.notes}  # fmt: skip
+    ]
+    return {
+        "sweep_id": analysis.table.sweep_id,
+        "by": analysis.by,
+        "contenders": analysis.contenders,
+        "failures": analysis.failures,
+        "summaries": summaries,
+        "pairs": pairs,
+        "notes": analysis.notes,
+    }

@@ -186,12 +186,14 @@ def _parallel(analysis: Analysis) -> Figure:
     factors = [key for key in table.keys if key not in listed and not math.isnan(_number(table.rows[0][key]))]
     names = [*(table.labels[key] for key in factors), *(column.head for column in analysis.columns)]
     data = {
-        contender: np.array([
-            [*(_number(row[key]) for key in factors), *(row[column.name] for column in analysis.columns)]
-            for row in rows_of(analysis, contender)
-        ]).reshape(-1, len(names))
+        contender: np.array(
+            [
+                [*(_number(row[key]) for key in factors), *(row[column.name] for column in analysis.columns)]
+                for row in rows_of(analysis, contender)
+            ]
+        ).reshape(-1, len(names))
         for contender in analysis.contenders
-    }  # fmt: skip
+    }
     everything = np.concatenate(list(data.values()))
     ranges = [_range(everything[:, i]) for i in range(len(names))]
     found = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")

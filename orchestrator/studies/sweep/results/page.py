@@ -13,8 +13,12 @@ from . import figures as plots
 from . import tables
 from .analysis import Analysis
 
-KINDS = {"box": "Distributions", "ecdf": "Empirical distributions", "heatmap": "Over two factors",
-         "parallel": "Run by run"}  # fmt: skip
+KINDS = {
+    "box": "Distributions",
+    "ecdf": "Empirical distributions",
+    "heatmap": "Over two factors",
+    "parallel": "Run by run",
+}
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -53,11 +57,12 @@ def write(analysis: Analysis, target: Path) -> Path:
         title=escape(f"{table.title}: sweep {table.sweep_id}"),
         style=resources.files("orchestrator.views.report").joinpath("style.css").read_text(encoding="utf-8"),
         head=escape(f"{len(table.rows)} runs, {len(table.completed)} completed"),
-        tables=tables.html(analysis), figures=figures,
+        tables=tables.html(analysis),
+        figures=figures,
         made=f"<h3>Distributions</h3><pre>{escape(json.dumps(drawn, indent=1))}</pre><h3>FMUs</h3>"
-             f"<pre>{escape(json.dumps(table.description['fmus'], indent=1))}</pre><h3>Experiment</h3>"
-             f"<pre>{escape(table.description['experiment_toml'])}</pre>",
-    )  # fmt: skip
+        f"<pre>{escape(json.dumps(table.description['fmus'], indent=1))}</pre><h3>Experiment</h3>"
+        f"<pre>{escape(table.description['experiment_toml'])}</pre>",
+    )
     return write_text(target, text)
 
 

@@ -32,11 +32,13 @@ def grids(analysis: Analysis, pairs: bool = True) -> list[Grid]:
     """The contenders by themselves, and two by two."""
     found = [
         Grid(
-            "", ["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
-            [_summary(s) for s in analysis.summaries], 2,
+            "",
+            ["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
+            [_summary(s) for s in analysis.summaries],
+            2,
             [analysis.best(s.metric) == s.contender for s in analysis.summaries],
         )
-    ]  # fmt: skip
+    ]
     if pairs and analysis.pairs:
         head = ["metric", "first", "second", "n", "first - second", "95 % interval", "p (Holm)", "effect", "smaller"]
         found.append(Grid("Draw by draw", head, [_pair(p) for p in analysis.pairs], 3, [False] * len(analysis.pairs)))
@@ -44,14 +46,29 @@ def grids(analysis: Analysis, pairs: bool = True) -> list[Grid]:
 
 
 def _summary(s: Summary) -> list[str]:
-    return [s.metric.head, s.contender, str(s.n), _shown(s.mean), _interval(s.low, s.high), _shown(s.std),
-            _shown(s.median)]  # fmt: skip
+    return [
+        s.metric.head,
+        s.contender,
+        str(s.n),
+        _shown(s.mean),
+        _interval(s.low, s.high),
+        _shown(s.std),
+        _shown(s.median),
+    ]
 
 
 def _pair(p: Pair) -> list[str]:
-    return [p.metric.head, p.first, p.second, str(p.n), _shown(p.difference), _interval(p.low, p.high),
-            _probability(p.p_holm), f"{p.effect:+.2f}" if math.isfinite(p.effect) else NO_NUMBER,
-            p.smaller or NO_NUMBER]  # fmt: skip
+    return [
+        p.metric.head,
+        p.first,
+        p.second,
+        str(p.n),
+        _shown(p.difference),
+        _interval(p.low, p.high),
+        _probability(p.p_holm),
+        f"{p.effect:+.2f}" if math.isfinite(p.effect) else NO_NUMBER,
+        p.smaller or NO_NUMBER,
+    ]
 
 
 def _shown(value: float) -> str:
@@ -71,8 +88,10 @@ def _probability(p: float) -> str:
 def legend(analysis: Analysis, pairs: bool = True) -> list[str]:
     """What the columns are, and what weakens them."""
     table = analysis.table
-    lines = [f"sweep {table.sweep_id}: {table.description['draws']} draws ({table.description['design']}, seed "
-             f"{table.description['seed']}), the same for every value of {analysis.by}"]  # fmt: skip
+    lines = [
+        f"sweep {table.sweep_id}: {table.description['draws']} draws ({table.description['design']}, seed "
+        f"{table.description['seed']}), the same for every value of {analysis.by}"
+    ]
     lines.append("mean with its 95 % bootstrap interval (BCa)")
     if pairs and analysis.pairs:
         lines[-1] += f"; Wilcoxon's signed-rank test on paired draws, Holm-corrected over {len(analysis.pairs)} "
@@ -109,10 +128,16 @@ def latex_text(analysis: Analysis, pairs: bool = True) -> str:
     caption = latex.escape(analysis.table.title)
     blocks = []
     for grid in grids(analysis, pairs):
-        lines = [r"% \usepackage{booktabs}", r"\begin{table}", r"  \centering",
-                 rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis, pairs)))}.}}",
-                 rf"  \begin{{tabular}}{{{'l' * grid.left}{'r' * (len(grid.head) - grid.left)}}}",
-                 r"    \toprule", _row(grid.head, False), r"    \midrule"]  # fmt: skip
+        lines = [
+            r"% \usepackage{booktabs}",
+            r"\begin{table}",
+            r"  \centering",
+            rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis, pairs)))}.}}",
+            rf"  \begin{{tabular}}{{{'l' * grid.left}{'r' * (len(grid.head) - grid.left)}}}",
+            r"    \toprule",
+            _row(grid.head, False),
+            r"    \midrule",
+        ]
         last = ""
         for row, bold in zip(grid.rows, grid.bold, strict=True):
             if last and row[0] != last:
@@ -140,8 +165,9 @@ def csv_text(analysis: Analysis, pairs: bool = True) -> str:
         writer.writerow([s.metric.name, s.metric.unit, s.contender, s.n, *map(repr, numbers)])
     if pairs and analysis.pairs:
         writer.writerow([])
-        writer.writerow(["metric", "unit", "first", "second", "n", "difference", "low", "high", "p", "p_holm",
-                         "effect"])  # fmt: skip
+        writer.writerow(
+            ["metric", "unit", "first", "second", "n", "difference", "low", "high", "p", "p_holm", "effect"]
+        )
         for p in analysis.pairs:
             last = map(repr, (p.difference, p.low, p.high, p.p, p.p_holm, p.effect))
             writer.writerow([p.metric.name, p.metric.unit, p.first, p.second, p.n, *last])
@@ -153,13 +179,16 @@ def html(analysis: Analysis) -> str:
     for grid in grids(analysis):
         head = "".join(f"<th>{escape(cell)}</th>" for cell in grid.head)
         body = "".join(
-            "<tr>" + "".join(f"<td>{f'<b>{escape(c)}</b>' if bold and i == 3 else escape(c)}</td>"
-                             for i, c in enumerate(row)) + "</tr>"
+            "<tr>"
+            + "".join(f"<td>{f'<b>{escape(c)}</b>' if bold and i == 3 else escape(c)}</td>" for i, c in enumerate(row))
+            + "</tr>"
             for row, bold in zip(grid.rows, grid.bold, strict=True)
-        )  # fmt: skip
+        )
         title = f"<h3>{escape(grid.title)}</h3>" if grid.title else ""
-        blocks.append(f'{title}<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
-                      f"<tbody>{body}</tbody></table></div>")  # fmt: skip
+        blocks.append(
+            f'{title}<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+            f"<tbody>{body}</tbody></table></div>"
+        )
     return "".join(blocks) + "".join(f'<p class="soft">{escape(line)}</p>' for line in legend(analysis))
 
 

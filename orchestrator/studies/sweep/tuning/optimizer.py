@@ -99,18 +99,27 @@ def _optuna() -> Any:
 
 
 def _study(
-    path: str | Path, set: Mapping[str, Any] | None, swap: Mapping[str, str] | None, packaging: str, spec: Search,
+    path: str | Path,
+    set: Mapping[str, Any] | None,
+    swap: Mapping[str, str] | None,
+    packaging: str,
+    spec: Search,
     note: Callable[[str], None],
-) -> Study:  # fmt: skip
+) -> Study:
     """The sweep that trials are drawn from: the controllers, each with the middle of its space, on the first draws."""
     changed = _replaced(path, set, swap, spec, list(spec.spaces), [_middle(s) for s in spec.spaces.values()])
     return study.prepare(path, {**changed, "sweep.draws": spec.draws}, swap, packaging, note)
 
 
 def _replaced(
-    path: str | Path, set: Mapping[str, Any] | None, swap: Mapping[str, str] | None, spec: Search, fmus: list[str],
-    parameters: list[dict[str, Any]], titles: list[str] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    path: str | Path,
+    set: Mapping[str, Any] | None,
+    swap: Mapping[str, str] | None,
+    spec: Search,
+    fmus: list[str],
+    parameters: list[dict[str, Any]],
+    titles: list[str] | None = None,
+) -> dict[str, Any]:
     """`set` for a sweep of controllers with parameters, in place of the lists of the file; its distributions stay."""
     table = load(path, set, swap).sweep
     drawn = {key: value for key, value in table.get("vary", {}).items() if isinstance(value, dict)}
@@ -132,9 +141,15 @@ def _identity(made: Study, spec: Search) -> str:
 
 
 def _search(
-    client: Any, job: Job, made: Study, spec: Search, folder: Path, pressed: Interrupt, told: Told,
+    client: Any,
+    job: Job,
+    made: Study,
+    spec: Search,
+    folder: Path,
+    pressed: Interrupt,
+    told: Told,
     note: Callable[[str], None],
-) -> list[Tuned]:  # fmt: skip
+) -> list[Tuned]:
     """All controllers at once, each a sequence of trials."""
     from distributed import wait
     from distributed.scheduler import KilledWorker
@@ -184,17 +199,28 @@ def _search(
 def _write(folder: Path, spec: Search, tuned: list[Tuned]) -> None:
     """A fragment for each controller's experiment, and one for a sweep of all."""
     for one in tuned:
-        lines = [f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}.",
-                 f"[components.{spec.component}]", f"fmu = {json.dumps(one.fmu)}",
-                 f"parameters = {_toml(one.parameters)}"]  # fmt: skip
+        lines = [
+            f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}.",
+            f"[components.{spec.component}]",
+            f"fmu = {json.dumps(one.fmu)}",
+            f"parameters = {_toml(one.parameters)}",
+        ]
         _save(folder / f"{Path(one.fmu).stem}.toml", lines)
     key = f"components.{spec.component}"
-    _save(folder / "tuned.toml", [
-        "# Tuned by orch: each controller with its parameters, to be swept.", "[sweep]",
-        f'zip = [["{key}.fmu", "{key}.parameters"]]', "", "[sweep.vary]",
-        f'"{key}.fmu" = {_toml([one.fmu for one in tuned])}',
-        f'"{key}.parameters" = [', *(f"    {_toml(one.parameters)}," for one in tuned), "]",
-    ])  # fmt: skip
+    _save(
+        folder / "tuned.toml",
+        [
+            "# Tuned by orch: each controller with its parameters, to be swept.",
+            "[sweep]",
+            f'zip = [["{key}.fmu", "{key}.parameters"]]',
+            "",
+            "[sweep.vary]",
+            f'"{key}.fmu" = {_toml([one.fmu for one in tuned])}',
+            f'"{key}.parameters" = [',
+            *(f"    {_toml(one.parameters)}," for one in tuned),
+            "]",
+        ],
+    )
 
 
 def _objective(spec: Search) -> str:
@@ -217,9 +243,14 @@ def _toml(value: Any) -> str:
 
 
 def _compare(
-    path: str | Path, set: Mapping[str, Any] | None, swap: Mapping[str, str] | None, packaging: str, spec: Search,
-    tuned: list[Tuned], note: Callable[[str], None],
-) -> Study:  # fmt: skip
+    path: str | Path,
+    set: Mapping[str, Any] | None,
+    swap: Mapping[str, str] | None,
+    packaging: str,
+    spec: Search,
+    tuned: list[Tuned],
+    note: Callable[[str], None],
+) -> Study:
     """The sweep of tuned and default parameters on draws that no trial has seen."""
     both: list[tuple[str, str, dict[str, Any]]] = [(one.fmu, one.fmu, {}) for one in tuned]
     both += [(f"{one.fmu} tuned", one.fmu, dict(one.parameters)) for one in tuned if one.parameters]

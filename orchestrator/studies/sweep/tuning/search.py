@@ -1,12 +1,12 @@
 """What [sweep.tune] asks for: for each controller a space of parameters, one objective, one budget for all.
 
-    [sweep.tune]
-    objective = { rmse_x = 1.0, power = 0.001 }     # weights of metrics; or the name of one
-    trials = 40                                     # of each controller
-    draws = 8                                       # that a trial is judged on
-    held_out = 50                                   # other draws, for the comparison at the end
-    [sweep.tune.search.pid]                         # the parameters of this FMU, as in [sweep.vary]
-    "K_p.x" = { distribution = "loguniform", low = 10.0, high = 1000.0 }
+[sweep.tune]
+objective = { rmse_x = 1.0, power = 0.001 }     # weights of metrics; or the name of one
+trials = 40                                     # of each controller
+draws = 8                                       # that a trial is judged on
+held_out = 50                                   # other draws, for the comparison at the end
+[sweep.tune.search.pid]                         # the parameters of this FMU, as in [sweep.vary]
+"K_p.x" = { distribution = "loguniform", low = 10.0, high = 1000.0 }
 """
 
 from __future__ import annotations
@@ -68,10 +68,14 @@ class _Reader:
         if goal not in GOALS:
             self.problem("goal", f"no {goal!r}{did_you_mean(str(goal), GOALS)}")
         return Search(
-            self.objective(table, metrics), str(goal), self.component(table, sweep),
-            self.whole(table, "trials"), self.whole(table, "draws"), self.whole(table, "held_out"),
+            self.objective(table, metrics),
+            str(goal),
+            self.component(table, sweep),
+            self.whole(table, "trials"),
+            self.whole(table, "draws"),
+            self.whole(table, "held_out"),
             self.spaces(table.get("search")),
-        )  # fmt: skip
+        )
 
     def objective(self, table: Mapping[str, Any], metrics: Mapping[str, Any]) -> dict[str, float]:
         given = table.get("objective")
@@ -108,8 +112,10 @@ class _Reader:
 
     def spaces(self, table: Any) -> dict[str, dict[str, Any]]:
         if not isinstance(table, dict) or not table:
-            self.problem("search", "is missing; give each controller a table of the parameters to tune, such as "
-                         "[sweep.tune.search.pid]")  # fmt: skip
+            self.problem(
+                "search",
+                "is missing; give each controller a table of the parameters to tune, such as [sweep.tune.search.pid]",
+            )
             return {}
         for fmu, space in table.items():
             if not isinstance(space, dict) or not space:

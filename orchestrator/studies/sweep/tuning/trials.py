@@ -40,9 +40,15 @@ class Trials:
     """The study of one controller."""
 
     def __init__(
-        self, optuna: Any, storage: Any, fmu: str, space: Mapping[str, Mapping[str, Any]], made: Study, spec: Search,
+        self,
+        optuna: Any,
+        storage: Any,
+        fmu: str,
+        space: Mapping[str, Mapping[str, Any]],
+        made: Study,
+        spec: Search,
         note: Callable[[str], None],
-    ):  # fmt: skip
+    ):
         self._optuna, self._space, self._spec, self._fmu = optuna, space, spec, fmu
         self._key = f"components.{spec.component}"
         self._draws = [run.values for run in made.design.runs() if run.values[f"{self._key}.fmu"] == fmu]
@@ -50,9 +56,12 @@ class Trials:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # experimental parts of optuna say that they are
             self._study = optuna.create_study(
-                storage=storage, study_name=fmu, direction=spec.goal, load_if_exists=True,
+                storage=storage,
+                study_name=fmu,
+                direction=spec.goal,
+                load_if_exists=True,
                 pruner=optuna.pruners.MedianPruner(n_startup_trials=4),
-            )  # fmt: skip
+            )
         states = optuna.trial.TrialState
         self._ended = states.COMPLETE, states.PRUNED
         for trial in self._study.get_trials(deepcopy=False, states=(states.RUNNING, states.WAITING)):
@@ -110,8 +119,14 @@ class Trials:
         complete = self._study.get_trials(deepcopy=False, states=self._ended[:1])
         best = self._study.best_trial if complete else None
         first = next((t for t in complete if self._defaults and t.params == self._defaults), None)
-        return Tuned(self._fmu, dict(best.params) if best else {}, float(first.value) if first else math.nan, self.best,
-                     self.ended, self.ended - len(complete))  # fmt: skip
+        return Tuned(
+            self._fmu,
+            dict(best.params) if best else {},
+            float(first.value) if first else math.nan,
+            self.best,
+            self.ended,
+            self.ended - len(complete),
+        )
 
 
 def _suggest(trial: Any, name: str, entry: Mapping[str, Any]) -> Any:

@@ -133,10 +133,13 @@ def _states(figure: Figure, tracks: Tracks) -> Canvas:
 def _forces(figure: Figure, tracks: Tracks) -> Canvas:
     (track,) = tracks[figure.cases[0]]
     panels = [
-        Panel(f"${name}$ [{unit}]", [Curve(track.time, track.tau[:, k], {"color": OKABE_ITO[0], **DENSE})],
-              span=2.0 if unit == "N" else 0.2)
+        Panel(
+            f"${name}$ [{unit}]",
+            [Curve(track.time, track.tau[:, k], {"color": OKABE_ITO[0], **DENSE})],
+            span=2.0 if unit == "N" else 0.2,
+        )
         for k, (name, unit) in enumerate(FORCES)
-    ]  # fmt: skip
+    ]
     rows = [[force, moment] for force, moment in zip(panels[:3], panels[3:], strict=True)]
     return _over_time(rows, [], height=1.5, width=8.5)
 
@@ -144,10 +147,14 @@ def _forces(figure: Figure, tracks: Tracks) -> Canvas:
 def _commands(figure: Figure, tracks: Tracks) -> Canvas:
     (track,) = tracks[figure.cases[0]]
     panels = [
-        Panel(f"{symbol(f'T{k + 1}')} [-]", [Curve(track.time, track.u[:, k], {"color": OKABE_ITO[0], **DENSE})],
-              share="u", span=2.1)
+        Panel(
+            f"{symbol(f'T{k + 1}')} [-]",
+            [Curve(track.time, track.u[:, k], {"color": OKABE_ITO[0], **DENSE})],
+            share="u",
+            span=2.1,
+        )
         for k in range(6)
-    ]  # fmt: skip
+    ]
     return _over_time([[panels[i], panels[i + 1]] for i in (0, 2, 4)], [], height=1.5, width=8.5)
 
 
@@ -182,14 +189,21 @@ def _distance(figure: Figure, tracks: Tracks) -> Canvas:
 
 def _heading(figure: Figure, tracks: Tracks) -> Canvas:
     label = r"$\psi_2 - \psi_1$"
-    return _formation(figure, tracks, signals.heading_difference, 180.0, f"{label} [deg]", 1.0,
-                      rf"{label} - 180$^\circ$ [deg]", 0.1)  # fmt: skip
+    return _formation(
+        figure, tracks, signals.heading_difference, 180.0, f"{label} [deg]", 1.0, rf"{label} - 180$^\circ$ [deg]", 0.1
+    )
 
 
 def _formation(
-    figure: Figure, tracks: Tracks, measure: Callable[[Track, Track], Array], wanted: float, label: str,
-    factor: float, magnified: str, span: float,
-) -> Canvas:  # fmt: skip
+    figure: Figure,
+    tracks: Tracks,
+    measure: Callable[[Track, Track], Array],
+    wanted: float,
+    label: str,
+    factor: float,
+    magnified: str,
+    span: float,
+) -> Canvas:
     """How the vehicles lie to each other, and the same magnified while they hold the object."""
     styles, whole, near = _palette(figure), [], []
     for case in figure.cases:

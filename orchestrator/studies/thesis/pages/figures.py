@@ -69,8 +69,12 @@ def _figures() -> dict[str, Figure]:
             what = "Magnification" if magnified else "Comparison"
             without = " (without feedback linearization)" if magnified else ""
             shown = tuple(n for n in cases if not (magnified and CASES[n].controller == "feedback_linearization"))
-            add(f"{what} of the error convergence of all controllers in the {axis} DOF{where}{without}",
-                "errors", shown, axis=axis)  # fmt: skip
+            add(
+                f"{what} of the error convergence of all controllers in the {axis} DOF{where}{without}",
+                "errors",
+                shown,
+                axis=axis,
+            )
     gripping = (case_name("gripping", "mfsosmc"),)
     for quantity, title in GRIPPING_STATES:
         for number in ("1", "2"):

@@ -52,11 +52,14 @@ def page(outcome: Outcome) -> str:
         *(_table(table, outcome.verdicts) for table in CAPTIONS),
         '<h2 id="claims">Claims of chapter 5</h2>',
         f'<p class="soft">{thesis_claims.tally(outcome.claims)}. * decides the exit code.</p>',
-        '<ul class="claims">', *_claims(outcome), "</ul>",
+        '<ul class="claims">',
+        *_claims(outcome),
+        "</ul>",
         '<h2 id="figures">Figures</h2><p class="soft">NED: z and its error point down; what is desired is dashed.</p>',
-        '<div class="figures">', *(_figure(FIGURES[n].stem, f"Figure {n}", FIGURES[n].title) for n in outcome.figures),
+        '<div class="figures">',
+        *(_figure(FIGURES[n].stem, f"Figure {n}", FIGURES[n].title) for n in outcome.figures),
         "</div>",
-    ]  # fmt: skip
+    ]
     if outcome.study:
         parts += ['<h2 id="steps">Step study</h2>', _figure(thesis_steps.STUDY_STEM, "", thesis_steps.CAPTION)]
     return "\n".join([*parts, "</body></html>"]) + "\n"
@@ -76,11 +79,14 @@ def _head(outcome: Outcome) -> list[str]:
         f'<p>Tables 5.2-5.7, the claims and Figures 5.1-5.80 from {len(runs)} runs of FMUs. <b class="'
         f'{"good" if passed else "bad"}">{verdict}</b>{", quick: coarser steps" if outcome.quick else ""}.</p>',
         '<nav><a href="#tables">Tables</a> <a href="#claims">Claims</a> <a href="#figures">Figures</a>'
-        + (' <a href="#steps">Step study</a>' if outcome.study else "") + "</nav>",
+        + (' <a href="#steps">Step study</a>' if outcome.study else "")
+        + "</nav>",
         "<ul>" + "".join(f'<li class="bad">{escape(s)}</li>' for s in outcome.outside) + "</ul>" if not passed else "",
         _grid(["controller", *names], rows),
-        "<details><summary>Runs</summary>", _grid(["run", "step", "id", "warnings"], runs), "</details>",
-    ]  # fmt: skip
+        "<details><summary>Runs</summary>",
+        _grid(["run", "step", "id", "warnings"], runs),
+        "</details>",
+    ]
 
 
 def _table(table: str, verdicts: Iterable[Verdict]) -> str:

@@ -49,8 +49,10 @@ def markdown(claims: Sequence[Claim]) -> str:
             section = claim.section
             lines += [f"## Section {section}", ""]
         figures = ", ".join(claim.figures)
-        lines.append(f"* **{claim.verdict}**{' *' if claim.gated else ''}: {claim.text}. Published: {claim.published}. "
-                     f"Ours: {claim.ours}. ({figures})")  # fmt: skip
+        lines.append(
+            f"* **{claim.verdict}**{' *' if claim.gated else ''}: {claim.text}. Published: {claim.published}. "
+            f"Ours: {claim.ours}. ({figures})"
+        )
         lines.append("")
     return "\n".join(lines)
 

@@ -20,9 +20,19 @@ CAPTION = (
     "position errors look right."
 )
 STUDIED = {
-    "rms_T1": "-", "rms_T2": "-", "rms_T3": "-", "rms_T4": "-", "rms_T5": "-", "rms_T6": "-",
-    "rmse_x": "m", "rmse_y": "m", "rmse_z": "m", "rmse_phi": "deg", "rmse_theta": "deg", "rmse_psi": "deg",
-}  # fmt: skip
+    "rms_T1": "-",
+    "rms_T2": "-",
+    "rms_T3": "-",
+    "rms_T4": "-",
+    "rms_T5": "-",
+    "rms_T6": "-",
+    "rmse_x": "m",
+    "rmse_y": "m",
+    "rmse_z": "m",
+    "rmse_phi": "deg",
+    "rmse_theta": "deg",
+    "rmse_psi": "deg",
+}
 
 
 def cases() -> list[Case]:
@@ -39,10 +49,14 @@ def rows(metrics: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:
     """One row a run.  metrics: of `cases()`, in their order."""
     theirs = {metric_name(c.quantity): c.corrected for c in published() if c.case == BASE.name and c.quantity != "mean"}
     return [
-        {"step": case.sets["master.step"], "integral": "explicit" if len(case.sets) > 1 else "semi-implicit",
-         **{name: of[name] for name in STUDIED}, "published": theirs}
+        {
+            "step": case.sets["master.step"],
+            "integral": "explicit" if len(case.sets) > 1 else "semi-implicit",
+            **{name: of[name] for name in STUDIED},
+            "published": theirs,
+        }
         for case, of in zip(cases(), metrics, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -68,9 +68,11 @@ class Verdict:
 
     def sentence(self) -> str:
         cell = self.cell
-        return (f"Table {cell.table}, {cell.case}, {cell.quantity}: published {cell.corrected:.4f}, "
-                f"ours {self.ours:.4f} {'' if cell.unit == '1' else cell.unit}".rstrip()
-                + f" ({_percent(self.error)}), {self.word}")  # fmt: skip
+        return (
+            f"Table {cell.table}, {cell.case}, {cell.quantity}: published {cell.corrected:.4f}, "
+            f"ours {self.ours:.4f} {'' if cell.unit == '1' else cell.unit}".rstrip()
+            + f" ({_percent(self.error)}), {self.word}"
+        )
 
 
 def published() -> list[Cell]:
@@ -80,11 +82,15 @@ def published() -> list[Cell]:
             Cell(
                 row["table"],
                 case_name("spiral", row["controller"], row["current"] == "yes", int(row["t_b_s"] or 0) or None),
-                row["quantity"], row["unit"], float(row["printed"]), float(row["corrected"]),
-                float(row["band"]) if row["band"] else None, row["note"],
+                row["quantity"],
+                row["unit"],
+                float(row["printed"]),
+                float(row["corrected"]),
+                float(row["band"]) if row["band"] else None,
+                row["note"],
             )
             for row in csv.DictReader(file)
-        ]  # fmt: skip
+        ]
 
 
 def judge(metrics: Mapping[str, Mapping[str, float]]) -> list[Verdict]:
@@ -163,8 +169,22 @@ def markdown(table: str, verdicts: Sequence[Verdict]) -> str:
 def csv_text(table: str, verdicts: Sequence[Verdict]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["table", "case", "controller", "quantity", "unit", "printed", "published", "ours",
-                     "relative_error", "band", "verdict", "note"])  # fmt: skip
+    writer.writerow(
+        [
+            "table",
+            "case",
+            "controller",
+            "quantity",
+            "unit",
+            "printed",
+            "published",
+            "ours",
+            "relative_error",
+            "band",
+            "verdict",
+            "note",
+        ]
+    )
     for v in _of(table, verdicts):
         c = v.cell
         row = [c.table, c.case, CASES[c.case].controller, c.quantity, c.unit, c.printed, c.corrected, f"{v.ours:.8g}"]
@@ -177,12 +197,15 @@ def latex(table: str, verdicts: Sequence[Verdict]) -> str:
     rows = _of(table, verdicts)
     theirs, ours = best(rows)
     lines = [
-        r"% \usepackage{booktabs, siunitx}", r"\begin{table}", r"  \centering",
+        r"% \usepackage{booktabs, siunitx}",
+        r"\begin{table}",
+        r"  \centering",
         r"  \sisetup{detect-weight = true, detect-inline-weight = math, table-format = 3.4}",
         rf"  \caption{{{CAPTIONS[table]}: published (Table {table} of the thesis) and reproduced. Best values bold.}}",
-        r"  \begin{tabular}{llSSS[table-format = +3.2]l}", r"    \toprule",
+        r"  \begin{tabular}{llSSS[table-format = +3.2]l}",
+        r"    \toprule",
         r"    Quantity & Controller & {Published} & {Ours} & {Rel. error (\%)} & Verdict \\",
-    ]  # fmt: skip
+    ]
     previous = ""
     for v in rows:
         if v.cell.quantity != previous:
