@@ -82,7 +82,7 @@ def extension() -> Any:
     if os.environ.get("ORCH_LOOP") == "python":
         return None
     try:
-        from . import _loop
+        from . import _loop  # type: ignore[attr-defined]  # of C, where it is built
     except ImportError:
         return None
     return _loop
