@@ -1,0 +1,17 @@
+"""Types of arrays, so that a signature says what an array holds; its shape and unit stand in the docstring.
+
+A module that does not import numpy by itself imports these under TYPE_CHECKING: this one does.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Reals: TypeAlias = NDArray[np.float64]
+Places: TypeAlias = NDArray[np.intp]  # indices into a table, or numbers of rows
+Truths: TypeAlias = NDArray[np.bool_]
+Table: TypeAlias = NDArray[Any]  # values of one kind, of the dtype that fmu.variables.DTYPES has for it
+Tables: TypeAlias = dict[str, Table]  # {kind: values}
