@@ -19,7 +19,7 @@ from orchestrator.experiment.timegrid import Grid
 from orchestrator.models.compiler import find
 from orchestrator.plan.plan import Plan
 from orchestrator.plan.resolve import prepare
-from orchestrator.records.store.folder import Run
+from orchestrator.records.file.run import Run
 
 HERE = Path(__file__).resolve().parent
 EXPERIMENT = HERE.parent / "experiments" / "gripping_currents.toml"

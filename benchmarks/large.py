@@ -168,7 +168,7 @@ def _measure_here(file: Path, began: float, packaging: str) -> None:
     from orchestrator.errors import OrchError
     from orchestrator.experiment import experiment
     from orchestrator.plan import resolve
-    from orchestrator.records.store.folder import Run
+    from orchestrator.records.file.run import Run
     from orchestrator.runs import runner
 
     class FirstRow:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 from .errors import ExperimentError, FmuError, OrchError, RunError, StoreError
 
 if TYPE_CHECKING:
-    from .records.store.folder import Run, open_run
+    from .records.file.run import Run
+    from .records.store.folder import open_run
     from .runs.runner import run
 
 __all__ = ["ExperimentError", "FmuError", "OrchError", "Run", "RunError", "StoreError", "open_run", "run"]
@@ -25,7 +26,7 @@ def __getattr__(name: str) -> Any:
     """Import the rest when it is asked for: the command line needs little of it, and fast."""
     import importlib
 
-    homes = {"run": "runs.runner", "Run": "records.store.folder", "open_run": "records.store.folder"}
+    homes = {"run": "runs.runner", "Run": "records.file.run", "open_run": "records.store.folder"}
     if name not in homes:
         raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
     return getattr(importlib.import_module(f".{homes[name]}", __name__), name)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .records.store.folder import Run
+    from .records.file.run import Run
 
 
 class OrchError(Exception):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .records.store.folder import Run
+    from .records.file.run import Run
 
     Array = NDArray[np.float64]
 

@@ -76,7 +76,7 @@ class Live:
     def finish(self, file: Path) -> None:
         """Write what is made of the record.  Raises OrchError."""
         if self.tlog is not None:
-            from ..records.store.folder import Run
+            from ..records.file.run import Run
             from ..views.export import export
 
             with Run(file) as record:

@@ -16,7 +16,7 @@ from ..experiment import experiment
 from ..models import build
 from ..plan.plan import Plan
 from ..plan.resolve import resolve
-from ..records.store.folder import Run
+from ..records.file.run import Run
 from . import runner
 from .checkpoint import resume
 from .checkpoint.file import open_checkpoint

@@ -18,8 +18,10 @@ from ..experiment import experiment as experiments
 from ..plan.plan import Plan
 from ..plan.resolve import prepare
 from ..records.file.access import UNREADABLE, being_written, is_taken
+from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import Recorder
-from ..records.store.folder import ID_LENGTH, Run, Store
+from ..records.file.run import Run
+from ..records.store.folder import Store
 from ..simulation.master import Observer, Outcome, interruptible
 from ..simulation.master import run as run_master
 from ..simulation.system import Context, System

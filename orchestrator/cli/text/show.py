@@ -21,7 +21,7 @@ from ...views.tables.terminal import columns_of
 from ...views.tables.terminal import short as short  # of the tables
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
     from ...runs.runner import Result
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...fmu.variables import split_axis
-from ..store.folder import Run
+from ..file.run import Run
 
 MADE = ("versions", "git_commit", "platform")  # beside what the experiment says
 ENDED = ("status", "error", "stopped_at", "failed_at")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ...fmu.variables import split_axis
 
 if TYPE_CHECKING:
-    from ..store.folder import Run
+    from ..file.run import Run
 
 SHOWN = 3  # words of a label
 Key = tuple[str, str]  # component (or "master") and variable; the variable of an FMU's name is ""

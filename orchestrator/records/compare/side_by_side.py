@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 from ...errors import StoreError, did_you_mean
 from ...metrics import METRICS, finite, smaller_is_better, unit_of
-from ..store.folder import Run, Store
+from ..file.run import Run
+from ..store.folder import Store
 from .labels import differences
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from ...fmu.variables import split_axis
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ..store.folder import Run
+    from ..file.run import Run
 
     Array = NDArray[np.float64]
 

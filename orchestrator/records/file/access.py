@@ -10,9 +10,8 @@ from typing import TypeVar
 import h5py
 
 from ...errors import StoreError
+from .format import FORMAT
 
-FORMAT = "orch-run"
-FORMAT_VERSION = 1
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
 
 # What h5py raises at a file that is damaged, or being written.

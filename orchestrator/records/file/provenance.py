@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ...plan.plan import Plan
-from .access import FORMAT, FORMAT_VERSION
+from .format import FORMAT, FORMAT_VERSION
 
 PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
 

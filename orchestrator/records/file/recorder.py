@@ -26,9 +26,9 @@ from ...metrics import finite
 from ...plan.plan import Plan
 from ...simulation.loop import Block
 from ...simulation.master import Outcome
-from ..store.folder import HEARD
 from .access import being_written, first_line, patiently
 from .datasets import TIME, Signal, attach_scales, image, signals_of
+from .format import HEARD
 from .hdf5 import LIBVER, describe, image_of, in_memory, restate
 from .provenance import attributes_of
 

@@ -1,177 +1,16 @@
-"""Records of runs, read: `Run` is one HDF5 file, `Store` the folder that holds them, found by run id.
-
-The format is described in docs/record.md; `recorder` writes it.
-"""
+"""A folder of records, found by run id."""
 
 from __future__ import annotations
 
 import contextlib
-import json
-import math
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
 
 import h5py
-import numpy as np
 
 from ...errors import StoreError, did_you_mean
-from ..file.access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-HEARD = "_heard"  # a group: what components heard from outside
-# Attributes in JSON.
-JSON = (
-    "experiment_resolved",
-    "versions",
-    "metrics",
-    "warnings",
-    "timing",
-    "command",
-    "changes",
-    "model_descriptions",
-    "last_inputs",
-)
-ID_LENGTH = 10
-
-T = TypeVar("T")
-
-
-class Run:
-    """A read-only handle on a record.
-
-    run["vehicle1.eta.x"] is its (N,) array, run["vehicle1.eta"] the (N, 6) array of a vector, run.time the times [s].
-    An array of FMI 3.0 is one signal, run["camera.image"] (N, *shape), and run["camera.image[1,2]"] an element of it.
-    Raises StoreError where the file is no record.
-    """
-
-    def __init__(self, path: str | Path, file: h5py.File | None = None):
-        self.path = Path(path)
-        self._signals: list[str] = []
-        self._lent = file is not None
-        self.file = file or self._open()
-        self._length = self._get("the time", lambda file: len(file["time"]))
-
-    def _open(self) -> h5py.File:
-        if not self.path.is_file():
-            raise StoreError(f"{self.path}: no such file")
-        try:
-            file = patiently(lambda: opened(self.path), while_=lambda: is_locked(self.path))
-        except UNREADABLE as error:
-            raise StoreError(f"{self.path} is no record of a run that can be read: {first_line(error)}") from None
-        return file
-
-    def _get(self, what: str, read: Callable[[h5py.File], T]) -> T:
-        """Read from the file; while it is being written, what HDF5 knows of it gets out of date: then open it again."""
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            try:
-                return read(self.file)
-            except UNREADABLE as error:
-                if self._lent or time.monotonic() > deadline or not is_locked(self.path):
-                    raise StoreError(f"{self.path}: {what} cannot be read: {first_line(error)}") from None
-            self.file.close()
-            self.file = self._open()
-
-    def __enter__(self) -> Run:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        self.file.close()
-
-    def __getitem__(self, name: str) -> Any:
-        if name in self.signals:
-            return self._read(name)
-        array, _, place = name.rstrip("]").rpartition("[")
-        if array in self.signals and name.endswith("]"):
-            values, index = self._read(array), tuple(int(n) - 1 for n in place.split(",") if n.isdecimal())
-            if len(index) == values.ndim - 1 and all(0 <= i < n for i, n in zip(index, values.shape[1:], strict=True)):
-                return values[(slice(None), *index)]
-        axes = [s for s in self.signals if s.startswith((name + ".", name + "[")) and "." not in s[len(name) + 1 :]]
-        if not axes:
-            near = did_you_mean(name, sorted({s.rpartition(".")[0] for s in self.signals}), "recorded")
-            raise KeyError(f"{self.path} has no signal {name!r}{near}")
-        return np.column_stack([self._read(axis) for axis in axes])
-
-    def _read(self, name: str) -> Any:
-        component, _, variable = name.partition(".")
-
-        def values(file: h5py.File) -> Any:
-            dataset = file[component][variable]
-            is_text = h5py.check_string_dtype(dataset.dtype) is not None
-            return (dataset.asstr() if is_text else dataset)[: self._length]
-
-        return self._get(name, values)
-
-    @property
-    def time(self) -> Any:
-        return self._get("the time", lambda file: file["time"][: self._length])
-
-    @property
-    def signals(self) -> list[str]:
-        """Names of all recorded variables, components in order."""
-        if not self._signals:
-            self._signals = self._get("the list of signals", _signals)
-        return self._signals
-
-    def units(self, name: str) -> str:
-        component, _, variable = name.partition(".")
-        if name not in self.signals and name.endswith("]"):
-            variable = variable.rpartition("[")[0]
-        return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
-
-    def fact(self, component: str, name: str) -> Any:
-        """An attribute of a component, such as fmu_sha256 or packaging."""
-        return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
-
-    def heard(self, component: str) -> tuple[Any, Any] | None:
-        """What a component heard from outside: times [s] at which it changed (M,), values (M, n).  None: nothing."""
-
-        def values(file: h5py.File) -> tuple[Any, Any] | None:
-            group = file.get(f"{HEARD}/{component}")
-            return None if group is None else (group["time"][:], group["values"][:])
-
-        return self._get("what it heard", values)
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """The root attributes, JSON decoded."""
-        found = self._get("its attributes", lambda file: dict(file.attrs))
-        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
-        return {name: json.loads(value) if name in JSON else value for name, value in values.items()}
-
-    @property
-    def status(self) -> str:
-        """completed, failed, interrupted, running, or "interrupted (killed)" where nobody writes it any more."""
-        status = self._get("its status", lambda file: str(file.attrs["status"]))
-        return "interrupted (killed)" if status == "running" and not is_locked(self.path) else status
-
-    @property
-    def run_id(self) -> str:
-        return self._get("its run id", lambda file: str(file.attrs["run_id"]))
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        return {name: math.nan if v is None else float(v) for name, v in self.attributes["metrics"].items()}
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """All signals as columns, indexed by time [s]."""
-        import pandas as pd
-
-        columns = {name: values for signal in self.signals for name, values in self._columns(signal)}
-        return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
-
-    def _columns(self, signal: str) -> Iterator[tuple[str, Any]]:
-        values = self._read(signal)
-        for index in np.ndindex(values.shape[1:]):
-            place = ",".join(str(i + 1) for i in index)
-            yield f"{signal}[{place}]" if place else signal, values[(slice(None), *index)]
+from ..file.access import UNREADABLE
+from ..file.format import ID_LENGTH
+from ..file.run import Run
 
 
 class Store:
@@ -217,20 +56,6 @@ class Store:
             if not path.exists() or _digest_of(path) in ("", digest):
                 return run_id, path
         raise AssertionError("two digests cannot share all their digits")
-
-
-def _signals(file: h5py.File) -> list[str]:
-    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group) and name != HEARD}
-    return [f"{component}.{variable}" for component, group in groups.items() for variable in _datasets(group)]
-
-
-def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
-    """Names of all datasets; those of variables whose names contain a slash lie in groups of their own."""
-    for name, item in group.items():
-        if isinstance(item, h5py.Group):
-            yield from _datasets(item, f"{above}{name}/")
-        elif not item.is_scale:
-            yield above + name
 
 
 def _digest_of(path: Path) -> str:

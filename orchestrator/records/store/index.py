@@ -151,7 +151,8 @@ def read(path: str) -> dict[str, Any]:
     """Facts of one record, from the file; none where it is gone."""
     import h5py
 
-    from ..file.access import FORMAT, UNREADABLE, first_line
+    from ..file.access import UNREADABLE, first_line
+    from ..file.format import FORMAT
 
     try:
         with h5py.File(path, "r", locking=False) as file:

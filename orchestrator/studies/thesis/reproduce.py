@@ -15,7 +15,7 @@ from typing import Any
 
 from ...errors import OrchError, StoreError
 from ...models import build
-from ...records.store.folder import Run
+from ...records.file.run import Run
 from .. import processes
 from .cases import signals as thesis_signals
 from .cases.chapter5 import CASES, Case, grippings, spirals

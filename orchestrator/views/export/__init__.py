@@ -15,7 +15,7 @@ from ...errors import OrchError, StoreError
 from ...files import replacing
 
 if TYPE_CHECKING:
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
     from .content import Content
 
 

@@ -19,7 +19,7 @@ from ...mavlink.vehicle.frame import Frame
 from ...mavlink.vehicle.parameters import Parameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
 from ...records.compare.vehicles import Vehicle, vehicles
-from ...records.store.folder import Run
+from ...records.file.run import Run
 from .content import Content
 
 FORCE = ("x", "y", "z")

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from ...fmu.variables import split_axis
-from ...records.store.folder import Run
+from ...records.file.run import Run
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

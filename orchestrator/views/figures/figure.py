@@ -23,7 +23,7 @@ from . import overview
 from .panels import GREY, STYLE, Curve, Panel, colour, draw_rows, plain, symbol
 
 if TYPE_CHECKING:
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
 OPTIONS: dict[str, dict[str, Any]] = {  # no dates: the same figure is the same bytes
     "png": {"pil_kwargs": {"optimize": True}},
@@ -74,7 +74,7 @@ class Drawn:
 
 def draw_files(paths: Sequence[Path], target: Path, signals: Sequence[str] = ()) -> Drawn:
     """`draw` records as they are now."""
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
     runs = [Run(path) for path in paths]
     try:

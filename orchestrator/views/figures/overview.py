@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
     Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from .colours import colours
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
     Array = NDArray[np.float64]
 

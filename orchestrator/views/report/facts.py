@@ -13,7 +13,7 @@ from ... import metrics
 from ..tables.terminal import short
 
 if TYPE_CHECKING:
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
 CUT = 12  # digits of a digest in a table
 

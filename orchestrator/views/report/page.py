@@ -23,7 +23,7 @@ from . import curves, facts, scene
 from .colours import colours
 
 if TYPE_CHECKING:
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
 SCRIPTS = ("core.js", "plots.js", "body.js", "scene.js", "replay.js")  # in this order, in one function
 

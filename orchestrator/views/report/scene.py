@@ -16,7 +16,7 @@ from .curves import Fleet, vehicle_colours
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ...records.store.folder import Run
+    from ...records.file.run import Run
 
     Array = NDArray[np.float64]
 

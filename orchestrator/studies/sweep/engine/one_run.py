@@ -12,14 +12,14 @@ import numpy as np
 
 from .... import metrics
 from ....plan.plan import Plan
+from ....records.file.format import ID_LENGTH
 from ....records.file.recorder import Recorder
-from ....records.store.folder import ID_LENGTH
 from ....simulation.loop import Block, Interrupt
 from ....simulation.master import run as run_master
 from ....simulation.system import Shelf, System
 
 if TYPE_CHECKING:
-    from ....records.store.folder import Run
+    from ....records.file.run import Run
     from ....simulation.master import Observer
 
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most

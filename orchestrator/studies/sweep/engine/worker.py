@@ -20,7 +20,7 @@ from ....plan.plan import Plan
 from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
 from ....records.file.provenance import versions
-from ....records.store.folder import Run as Record
+from ....records.file.run import Run as Record
 from ....simulation.loop import Interrupt
 from ..design.matrix import Run
 from ..design.study import ID_LENGTH, Job

@@ -13,7 +13,8 @@ from ....errors import OrchError, RunError, StoreError
 from ....experiment.experiment import load
 from ....models import build
 from ....plan.plan import Plan
-from ....records.store.folder import Run, Store
+from ....records.file.run import Run
+from ....records.store.folder import Store
 from ... import processes
 from .chapter5 import CASES, Case
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from ....records.store.folder import Run
+    from ....records.file.run import Run
 
 Array = NDArray[np.float64]
 DEGREES = np.array([1.0, 1.0, 1.0, 180 / math.pi, 180 / math.pi, 180 / math.pi])

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
-from ....records.store.folder import Run
+from ....records.file.run import Run
 from ....views.figures.panels import DENSE, DESIRED, OKABE_ITO, STYLE, Curve, Panel, draw_rows, symbol
 from ..cases import signals
 from ..cases.chapter5 import CASES

@@ -1,0 +1,20 @@
+"""What the format of a record is called, and the names in it that several modules need; docs/record.md describes it."""
+
+from __future__ import annotations
+
+FORMAT = "orch-run"
+FORMAT_VERSION = 1
+ID_LENGTH = 10  # hex digits of the digest that make a run id
+HEARD = "_heard"  # a group: what components heard from outside
+# Attributes in JSON.
+JSON = (
+    "experiment_resolved",
+    "versions",
+    "metrics",
+    "warnings",
+    "timing",
+    "command",
+    "changes",
+    "model_descriptions",
+    "last_inputs",
+)
