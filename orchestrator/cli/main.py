@@ -12,7 +12,7 @@ import click
 
 from .. import __version__
 from ..errors import OrchError
-from .commands import compare, exchange, export, models, records, report, rerun, run, store, studies, sweep
+from .commands import compare, exchange, models, report, run, store, studies
 from .commands.options import INTERRUPTED
 
 
@@ -91,19 +91,7 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         ctx.exit()
 
 
-COMMANDS = (
-    run,
-    rerun,
-    models,
-    records,
-    store,
-    compare,
-    export,
-    exchange,
-    report,
-    studies,
-    sweep,
-)
+COMMANDS = (run, models, store, compare, exchange, report, studies)
 
 for module in COMMANDS:
     for command in vars(module).values():

@@ -1,4 +1,4 @@
-"""The command that puts runs side by side."""
+"""Commands that compare runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from .options import json_option, results_option
+from .options import json_option, results_option, tell
 
 
 @click.command()
@@ -140,3 +140,32 @@ def _compare_sweep(
     targets = [Path(name) for name in (output, figure) if name]
     lines = [show.short(target) for target in targets] if output else [text, *map(show.short, targets)]
     click.echo("\n".join(lines))
+
+
+@click.command()
+@click.argument("a", metavar="A")
+@click.argument("b", metavar="B")
+@results_option
+@json_option
+def diff(a: str, b: str, results: str, as_json: bool) -> int:
+    """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
+
+    Exit code 0 where nothing differs that decides the numbers, that is, the digests are the same; else 1.
+    """
+    from ...records.compare import diff as changes
+    from ...records.store.folder import open_run
+    from ...views.tables.terminal import columns_of
+
+    with open_run(a, results) as first, open_run(b, results) as second:
+        found = changes.changes(first, second)
+        names = first.run_id, second.run_id
+        same = first.attributes["digest"] == second.attributes["digest"]
+    if as_json:
+        click.echo(json.dumps([change.__dict__ for change in found]))
+    elif found:
+        click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
+    elif same:
+        tell("nothing differs but clocks")
+    if not same and not any(change.decides for change in found):
+        tell("their digests differ, and with them something that decides the numbers")
+    return 0 if same else 1

@@ -1,4 +1,4 @@
-"""The command that makes an experiment of another tool's system."""
+"""Commands that write records and experiments for other tools, and read theirs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,94 @@ from pathlib import Path
 
 import click
 
-from .options import tell
+from .options import changes_options, packaging_option, prepared, results_option, tell
+
+EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is asked for
+
+
+@click.command()
+@click.argument("run", metavar="RUN|EXPERIMENT.toml")
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
+    help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).",
+)
+@click.option("--output", "-o", metavar="FILE", help="Default: beside the record; of an experiment NAME.ssp, here.")
+@changes_options
+@packaging_option
+@results_option
+def export(
+    run: str,
+    form: str | None,
+    output: str | None,
+    sets: tuple[str, ...],
+    swaps: tuple[str, ...],
+    packaging: str,
+    results: str,
+) -> None:
+    """Write a run for another tool, with names and units; or an experiment, with its FMUs, as one SSP archive.
+
+    RUN: an id, a prefix of one, a file, or "last".
+
+    \b
+    csv      pandas, spreadsheets: the first line is  time [s],vehicle1.eta.x [m],...
+    parquet  pandas, DuckDB, Arrow: units in the metadata of each column
+    mat      MATLAB: vehicle1.eta_x, and vectors such as vehicle1.eta, (N, 6); units.vehicle1.eta_x
+    netcdf   xarray: variables vehicle1.eta.x over time, with units
+    mcap     Foxglove: a channel a component, /vehicle1, and poses and tracks of vehicles
+    tlog     QGroundControl, MAVProxy, MAVExplorer: the telemetry of the vehicles as ArduSub
+    ssp      of an EXPERIMENT: SSP 1.0, which libcosim, Ecos and orch run
+    orch export experiments/spiral_pid.toml -o spiral.ssp
+
+    --set, --swap and --packaging are for experiments.
+    MCAP counts simulated time from 0.  Its signals are as recorded, in NED and FRD; its poses are as Foxglove expects
+    them: x east, y north, z up, and of a vehicle x forward, y left, z up.
+
+    All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
+    its rows are written.
+    """
+    from ...records.store.folder import open_run
+    from ...views import export as exporting
+    from ..text import show
+
+    named = "ssp" if Path(output or "").suffix.lower() == ".ssp" else exporting.named_by(Path(output or ""))
+    form = form or named
+    if Path(run).suffix.lower() in EXPERIMENTS:
+        _export_experiment(run, form, output, sets, swaps, packaging)
+        return
+    if form == "ssp":
+        raise click.UsageError(f"{run} is a run, SSP is for experiments: give an EXPERIMENT.toml")
+    if sets or swaps or packaging != "auto":
+        raise click.UsageError(f"--set, --swap and --packaging are for experiments, and {run} is a run")
+    if form is None:
+        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf, mcap or tlog")
+    with open_run(run, results) as record:
+        target = Path(output) if output else record.path.with_suffix(exporting.FORMATS[form].suffix)
+        exporting.export(record, form, target)
+        if record.status != "completed":
+            rows, time = len(record.time), record.time[-1]
+            tell(f"{record.run_id}: {record.status}; these are its {rows} rows until t = {time:.10g} s")
+    click.echo(show.short(target))
+
+
+def _export_experiment(
+    path: str, form: str | None, output: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str
+) -> None:
+    from ...errors import StoreError
+    from ...ssp import writing
+    from ..text import show
+
+    if form != "ssp":
+        what = f"--format {form} is for runs" if form else "say which format"
+        raise click.UsageError(f"{what}: an experiment becomes an SSP, --format ssp, and a run is named by its id")
+    plan = prepared(path, sets, swaps, tell, packaging)
+    target = Path(output or f"{Path(path).stem}.ssp")
+    if target.resolve() == Path(path).resolve():
+        raise StoreError(f"{target} is the experiment itself; write to another file")
+    for note in [*plan.notes, *writing.limits(plan)]:
+        tell(f"note: {note}")
+    click.echo(show.short(writing.export(plan, target)))
 
 
 @click.command("import")

@@ -1,4 +1,4 @@
-"""The command that makes a page of runs."""
+"""Commands that show runs to the eye: figures and pages."""
 
 from __future__ import annotations
 
@@ -7,6 +7,25 @@ from pathlib import Path
 import click
 
 from .options import results_option
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--output", "-o", metavar="FILE", help="PNG, PDF or SVG; default: beside the record, as .png")
+@click.option("--signals", metavar="GLOB", multiple=True, help="Plot these signals over time instead of the overview.")
+@click.option("--follow", is_flag=True, help="Draw again every second until the runs have ended.")
+@results_option
+def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], follow: bool, results: str) -> None:
+    """Draw runs: tracks, positions, errors, thrusters.  RUN: an id, a prefix of one, a file, or "last"."""
+    from ...records.store.folder import Store
+    from ...views.figures import figure
+    from ..text import show
+
+    store = Store(results)
+    paths = [store.find(name) for name in runs]
+    target = Path(output) if output else paths[0].with_suffix(".png")
+    for drawn in figure.following(paths, target, signals) if follow else [figure.draw_files(paths, target, signals)]:
+        click.echo(f"{show.short(target)}: t = {drawn.time:.6g} s" if drawn.running else show.short(target))
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""Commands that find records, tell them apart, and clear them away."""
+"""Commands over the store: list records, show one, delete some."""
 
 from __future__ import annotations
 
@@ -83,32 +83,16 @@ def list_(
 
 
 @click.command()
-@click.argument("a", metavar="A")
-@click.argument("b", metavar="B")
+@click.argument("run", metavar="RUN")
 @results_option
 @json_option
-def diff(a: str, b: str, results: str, as_json: bool) -> int:
-    """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
-
-    Exit code 0 where nothing differs that decides the numbers, that is, the digests are the same; else 1.
-    """
-    from ...records.compare import diff as changes
+def show(run: str, results: str, as_json: bool) -> None:
+    """Show a record: how it ended, what made it, metrics, warnings.  RUN: an id, a prefix, a file, or "last"."""
     from ...records.store.folder import open_run
-    from ...views.tables.terminal import columns_of
+    from ..text import show as shown
 
-    with open_run(a, results) as first, open_run(b, results) as second:
-        found = changes.changes(first, second)
-        names = first.run_id, second.run_id
-        same = first.attributes["digest"] == second.attributes["digest"]
-    if as_json:
-        click.echo(json.dumps([change.__dict__ for change in found]))
-    elif found:
-        click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
-    elif same:
-        tell("nothing differs but clocks")
-    if not same and not any(change.decides for change in found):
-        tell("their digests differ, and with them something that decides the numbers")
-    return 0 if same else 1
+    with open_run(run, results) as record:
+        click.echo(json.dumps(shown.record_as_json(record)) if as_json else shown.record(record))
 
 
 @click.command()
