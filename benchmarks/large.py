@@ -193,7 +193,7 @@ def _measure_here(file: Path, began: float, packaging: str) -> None:
     with Run(result.file) as run:
         timing = run.attributes["timing"]
     calls = sum(seconds[phase] for seconds in timing["components"].values() for phase in ("set", "step", "get"))
-    us = 1e6 / (plan.steps * len(plan.parts))  # of a step of a component, for a second of the run
+    us = 1e6 / (plan.steps * len(plan.components))  # of a step of a component, for a second of the run
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KiB, on macOS bytes
     memory = peak / 1024 if sys.platform == "darwin" else peak
     print(json.dumps([timing["stepping"] * us, calls * us, first_row.at - began, memory]))

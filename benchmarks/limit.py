@@ -140,14 +140,14 @@ def _program(task: Task, models: dict[str, str], sizes: dict[str, int]) -> str:
     def lines(depth: int, statements: list[str]) -> str:
         return "\n".join("    " * depth + statement for statement in statements)
 
-    parts = task.components
+    components = task.components
     return PROGRAM.format(
-        memories=lines(0, [f"static double {c.name}[{sizes[c.fmu]}];" for c in parts]),
+        memories=lines(0, [f"static double {c.name}[{sizes[c.fmu]}];" for c in components]),
         begin=lines(
             1,
             [
                 line
-                for c in parts
+                for c in components
                 for line in (
                     f"{models[c.fmu]}_begin({c.name});",
                     *(f"{_at(v)} = {float(value)!r};" for v, value in c.values),
@@ -155,14 +155,14 @@ def _program(task: Task, models: dict[str, str], sizes: dict[str, int]) -> str:
             ],
         ),
         initialize=lines(
-            2, [line for c in parts for line in (*inputs(c.name), f"{models[c.fmu]}_initialize({c.name});")]
+            2, [line for c in components for line in (*inputs(c.name), f"{models[c.fmu]}_initialize({c.name});")]
         ),
         advance=lines(
-            2, [line for c in parts for line in (*inputs(c.name), f"{models[c.fmu]}_advance({c.name}, t, h);")]
+            2, [line for c in components for line in (*inputs(c.name), f"{models[c.fmu]}_advance({c.name}, t, h);")]
         ),
         record=lines(1, [f"row[{i}] = {_at(v)};" for i, v in enumerate(task.recorded)]),
         names=", ".join(f'"{v.signal}"' for v in task.recorded),
-        sweeps=len(parts),
+        sweeps=len(components),
         numerator=task.step[0],
         denominator=task.step[1],
         h=task.h,

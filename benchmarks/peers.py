@@ -35,7 +35,7 @@ def fmpy(task: Task) -> Measured:
     outputs = sorted({*task.recorded, *sources.values()}, key=lambda v: (v.component, v.reference))
     place = {output: i for i, output in enumerate(outputs)}
     values = [0.0] * len(outputs)
-    members = []
+    steppers = []
     for component in task.components:
         description = read_model_description(folders[component.fmu], validate=False)
         slave = FMU2Slave(
@@ -52,7 +52,7 @@ def fmpy(task: Task) -> Measured:
         slave.enterInitializationMode()
         inputs = task.of_component(list(sources), component.name)
         own = task.of_component(outputs, component.name)
-        members.append(
+        steppers.append(
             (
                 slave,
                 [v.reference for v in inputs],
@@ -62,11 +62,11 @@ def fmpy(task: Task) -> Measured:
             )
         )
 
-    for _ in members:  # as many sweeps as a chain of all of them needs
-        for slave, inputs, drivers, references, own in members:
+    for _ in steppers:  # as many sweeps as a chain of all of them needs
+        for slave, inputs, drivers, references, own in steppers:
             slave.setReal(inputs, [values[i] for i in drivers])
             values[own] = slave.getReal(references)
-    for slave, *_ in members:
+    for slave, *_ in steppers:
         slave.exitInitializationMode()
 
     recorded = [place[v] for v in task.recorded]
@@ -75,7 +75,7 @@ def fmpy(task: Task) -> Measured:
     began = time.perf_counter()
     for k in range(task.steps):
         t = task.time(k)
-        for slave, inputs, drivers, references, own in members:
+        for slave, inputs, drivers, references, own in steppers:
             if inputs:
                 slave.setReal(inputs, [values[i] for i in drivers])
             slave.doStep(currentCommunicationPoint=t, communicationStepSize=h)
@@ -83,7 +83,7 @@ def fmpy(task: Task) -> Measured:
         if (k + 1) % stride == 0:
             rows.append([values[i] for i in recorded])
     stepping = time.perf_counter() - began
-    for slave, *_ in members:
+    for slave, *_ in steppers:
         slave.terminate()
         slave.freeInstance()
     for folder in folders.values():

@@ -55,15 +55,18 @@ class Task:
             return Variable(component, v.name, v.reference, v.kind)
 
         components = []
-        for part in plan.parts:
-            if part.period != 1:
-                raise SystemExit(f"{part.name} has a step of its own, which this benchmark does not compare")
-            values = {**part.parameters, **part.start}
+        for component in plan.components:
+            if component.period != 1:
+                raise SystemExit(f"{component.name} has a step of its own, which this benchmark does not compare")
+            values = {**component.parameters, **component.start}
             components.append(
                 Component(
-                    part.name,
-                    str(part.fmu.path),
-                    [(variable(part.name, part.fmu.variables[name]), value) for name, value in values.items()],
+                    component.name,
+                    str(component.fmu.path),
+                    [
+                        (variable(component.name, component.fmu.variables[name]), value)
+                        for name, value in values.items()
+                    ],
                 )
             )
         step = Fraction(repr(plan.experiment.master.step))
@@ -72,7 +75,10 @@ class Task:
             plan.steps,
             plan.stride,
             components,
-            [(variable(link.sink, link.input), variable(link.source, link.output)) for link in plan.links],
+            [
+                (variable(connection.sink, connection.input), variable(connection.source, connection.output))
+                for connection in plan.connections
+            ],
             [variable(component, v) for component, v in plan.recorded],
         )
 

@@ -178,7 +178,7 @@ def test_a_library_that_cannot_be_loaded_says_so(orch, write, two, tmp_path):
 def test_an_fmu_for_one_instance_a_process_gets_a_process_for_each_further_one(resolve, problems, two, tmp_path):
     table = two(**{"components.b.fmu": "first.fmu"})
     paper_fmu(tmp_path / "first.fmu", options='canBeInstantiatedOnlyOncePerProcess="true"')
-    assert [part.isolated for part in resolve(table).parts] == [False, True]
+    assert [component.isolated for component in resolve(table).components] == [False, True]
     ((key, sentence),) = problems(merged(table, {"components.b.isolation": "none"}))
     assert key == "components.b.isolation"
     assert "only once in a process" in sentence
@@ -187,7 +187,7 @@ def test_an_fmu_for_one_instance_a_process_gets_a_process_for_each_further_one(r
 def test_foreign_fmus_with_different_modules_of_one_name_run_in_different_processes(resolve, problems, two, foreign):
     changes = {"components.a.fmu": str(foreign.north), "components.b.fmu": str(foreign.south), "connections": {}}
     plan = resolve(two(**changes))
-    assert [part.isolated for part in plan.parts] == [False, True]
+    assert [component.isolated for component in plan.components] == [False, True]
     assert any("different module 'helper'" in note for note in plan.notes)
     ((key, sentence),) = problems(two(**changes, **{"components.b.isolation": "none"}))
     assert key == "components.b.isolation"
@@ -405,7 +405,7 @@ def test_an_enumeration_takes_the_numbers_of_its_items_only(resolve, problems, t
     level = [*PROBE_VARIABLES, ("choice", "Enumeration", "parameter", "1", None, "a level")]
     for given in (7, "high"):
         plan = resolve(two(a=level, **{"components.a.parameters": {"choice": given}}))
-        assert plan.parts[0].parameters["choice"] == 7
+        assert plan.components[0].parameters["choice"] == 7
     ((_, sentence),) = problems(two(a=level, **{"components.a.parameters": {"choice": 3}}))
     assert sentence == "choice: no item 3; it has low = 1, high = 7"
 
@@ -441,7 +441,7 @@ def test_a_matrix_parameter_takes_a_list_of_rows(resolve, problems, two):
     names = [f"M[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
     matrix = [(name, "Real", "parameter", "0", None, "M") for name in names]
     table = two(a=[*matrix, *PROBE_VARIABLES], **{"components.a.parameters": {"M": [[1, 2, 3], [4, 5, 6]]}})
-    assert resolve(table).parts[0].parameters == dict(zip(names, [1.0, 2, 3, 4, 5, 6], strict=True))
+    assert resolve(table).components[0].parameters == dict(zip(names, [1.0, 2, 3, 4, 5, 6], strict=True))
     ((_, sentence),) = problems(merged(table, {"components.a.parameters": {"M": [[1, 2], [3, 4], [5, 6]]}}))
     assert sentence == "is a matrix up to [2,3]; give a list of rows"
 
@@ -456,7 +456,9 @@ def test_the_seed_of_the_experiment_reaches_what_has_one_and_is_told_none(resolv
     )
 
     def seeds(**changes):
-        return {part.name: part.parameters.get("seed") for part in resolve(merged(table, changes)).parts}
+        return {
+            component.name: component.parameters.get("seed") for component in resolve(merged(table, changes)).components
+        }
 
     first = seeds()
     assert first["c"] == 3
@@ -581,4 +583,4 @@ def test_numbered_axes_are_taken_by_their_numbers_and_not_as_they_are_declared(r
     assert found == {f"p[{i}]": f"n[{i}]" for i in range(1, 12)} | {
         f"q.{axis}": f"n[{i}]" for i, axis in enumerate("abcdefghijk", 1)
     }
-    assert plan.parts[0].parameters == {f"k[{i}]": i for i in range(1, 12)}
+    assert plan.components[0].parameters == {f"k[{i}]": i for i in range(1, 12)}

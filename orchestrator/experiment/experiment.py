@@ -34,7 +34,7 @@ class Master:
 
 
 @dataclass(frozen=True)
-class Component:
+class ComponentSpec:
     name: str
     fmu: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class Component:
 
 
 @dataclass(frozen=True)
-class Connection:
+class ConnectionSpec:
     """input = gain * output + offset, after the conversion of units."""
 
     source: str  # component.output
@@ -69,8 +69,8 @@ class Experiment:
     text: str
     title: str
     master: Master
-    components: tuple[Component, ...]
-    connections: Mapping[str, Connection]  # {"component.input": where from}
+    components: tuple[ComponentSpec, ...]
+    connections: Mapping[str, ConnectionSpec]  # {"component.input": where from}
     record: Record
     metrics: Mapping[str, Mapping[str, Any]]
     mavlink: Mapping[str, Any]
@@ -235,7 +235,7 @@ class _Reader:
             self.problem("master.seed", f"{seed} does not fit 64 bits")
         return Master(stop_time, step, algorithm, seed)
 
-    def components(self, table: dict[str, Any], master: Master, swapped: tuple[str, ...]) -> tuple[Component, ...]:
+    def components(self, table: dict[str, Any], master: Master, swapped: tuple[str, ...]) -> tuple[ComponentSpec, ...]:
         found = []
         for name in table:
             key = f"components.{name}"
@@ -263,7 +263,7 @@ class _Reader:
             if timeout is not None and isolation == "none":
                 self.problem(f"{key}.timeout", 'can be kept only in a process of its own; take isolation = "process"')
             found.append(
-                Component(
+                ComponentSpec(
                     name,
                     self.typed(entry, "fmu", key, str, ""),
                     self.table(entry, "parameters", key),
@@ -277,15 +277,15 @@ class _Reader:
             )
         return tuple(found)
 
-    def connections(self, table: dict[str, Any]) -> dict[str, Connection]:
+    def connections(self, table: dict[str, Any]) -> dict[str, ConnectionSpec]:
         found = {}
         for sink, source in table.items():
             key = f'connections."{sink}"'
             if isinstance(source, str):
-                found[sink] = Connection(source)
+                found[sink] = ConnectionSpec(source)
             elif isinstance(source, dict) and "from" in source:
                 self.known(source, ("from", "gain", "offset", "unit_check"), key)
-                found[sink] = Connection(
+                found[sink] = ConnectionSpec(
                     self.typed(source, "from", key, str, ""),
                     self.number(source, "gain", key),
                     self.number(source, "offset", key),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import ExperimentError, Problem, did_you_mean
-from ..plan.plan import Part, Plan
+from ..plan.plan import Component, Plan
 from .vehicle.frame import PWM_MAPS
 
 BODY = ("u", "v", "w", "p", "q", "r")
@@ -37,13 +37,17 @@ class Settings:
     rates: Mapping[str, float] = field(default_factory=lambda: dict(STREAMS))
 
 
-def vehicles_of(parts: Iterable[Part]) -> list[str]:
+def vehicles_of(components: Iterable[Component]) -> list[str]:
     """The components that put out a whole `eta` and `nu`, in their order."""
-    return [part.name for part in parts if _puts_out(part, "eta", AXES) and _puts_out(part, "nu", BODY)]
+    return [
+        component.name
+        for component in components
+        if _puts_out(component, "eta", AXES) and _puts_out(component, "nu", BODY)
+    ]
 
 
-def _puts_out(part: Part, vector: str, axes: tuple[str, ...]) -> bool:
-    found = part.fmu.lookup(vector)
+def _puts_out(component: Component, vector: str, axes: tuple[str, ...]) -> bool:
+    found = component.fmu.lookup(vector)
     return all(axis in found and found[axis].causality == "output" and found[axis].kind == "real" for axis in axes)
 
 
@@ -56,8 +60,8 @@ def problems(table: Mapping[str, Any], components: Iterable[str], vehicles: Iter
 
 def settings_of(plan: Plan) -> Settings:
     """The settings of a plan.  Raises ExperimentError with every problem, or where it has no vehicle."""
-    table, vehicles = plan.experiment.mavlink, vehicles_of(plan.parts)
-    found = problems(table, [part.name for part in plan.parts], vehicles)
+    table, vehicles = plan.experiment.mavlink, vehicles_of(plan.components)
+    found = problems(table, [component.name for component in plan.components], vehicles)
     if not found and not vehicles:
         found = [Problem("mavlink", "no component is a vehicle: none puts out eta.x to eta.psi and nu.u to nu.r")]
     if found:

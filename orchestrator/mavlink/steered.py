@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..plan.plan import Part, Plan
+from ..plan.plan import Component, Plan
 from .settings import vehicles_of
 from .vehicle.control import Control
 from .vehicle.frame import PWM_MAPS
@@ -20,33 +20,37 @@ def context_of(plan: Plan) -> dict[str, dict[str, Any]]:
     Raises OrchError where the vehicle's thrusters are none that ArduSub knows.
     """
     found: dict[str, dict[str, Any]] = {}
-    for part in plan.parts:
-        if part.live and part.fmu_name == MANUAL:
-            found[part.name] = {"control": Control()}
-        elif part.live and part.fmu_name == ARDUPILOT and (vehicle := vehicle_of(plan, part)):
+    for component in plan.components:
+        if component.live and component.fmu_name == MANUAL:
+            found[component.name] = {"control": Control()}
+        elif component.live and component.fmu_name == ARDUPILOT and (vehicle := vehicle_of(plan, component)):
             frame, _ = frame_of(plan, vehicle, plan.experiment.mavlink.get("pwm_map", PWM_MAPS[0]))
-            found[part.name] = {"frame": frame}
+            found[component.name] = {"frame": frame}
     return found
 
 
 def controls_of(plan: Plan, context: Mapping[str, Mapping[str, Any]]) -> dict[str, Control]:
     """{vehicle: where its steering goes}."""
-    parts = {part.name: part for part in plan.parts}
+    components = {component.name: component for component in plan.components}
     found = {}
     for name, its in context.items():
-        if "control" in its and (vehicle := vehicle_of(plan, parts[name])):
+        if "control" in its and (vehicle := vehicle_of(plan, components[name])):
             found[vehicle.name] = its["control"]
     return found
 
 
 def unheard(plan: Plan) -> list[str]:
     """What to say of components that nobody can steer, in a run without --mavlink."""
-    names = [part.name for part in plan.parts if part.live and part.fmu_name == MANUAL]
+    names = [component.name for component in plan.components if component.live and component.fmu_name == MANUAL]
     return [f"nobody steers {name!r}: give --mavlink ENDPOINT" for name in names]
 
 
-def vehicle_of(plan: Plan, part: Part) -> Part | None:
+def vehicle_of(plan: Plan, component: Component) -> Component | None:
     """The vehicle whose `eta` a component is given."""
-    vehicles = vehicles_of(plan.parts)
-    sources = [link.source for link in plan.links if link.sink == part.name and link.input.name.startswith("eta.")]
-    return next((other for other in plan.parts if other.name in sources and other.name in vehicles), None)
+    vehicles = vehicles_of(plan.components)
+    sources = [
+        connection.source
+        for connection in plan.connections
+        if connection.sink == component.name and connection.input.name.startswith("eta.")
+    ]
+    return next((other for other in plan.components if other.name in sources and other.name in vehicles), None)

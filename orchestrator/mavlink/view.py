@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import OrchError, did_you_mean
 from ..fmu.variables import Variable, split_axis
-from ..plan.plan import Part, Plan
+from ..plan.plan import Component, Plan
 from ..simulation.system import System
 from .protocol.links import Endpoint
 from .settings import AXES, BODY, Settings, settings_of
@@ -109,20 +109,20 @@ def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpo
                 f"--mavlink {endpoint.text}: no vehicle has the system id {endpoint.system}"
                 f"{did_you_mean(str(endpoint.system), known, 'ids')}"
             )
-    parts = {part.name: part for part in plan.parts}
+    components = {component.name: component for component in plan.components}
     return [
-        _autopilot(plan, parts[name], system, settings, controls.get(name))
+        _autopilot(plan, components[name], system, settings, controls.get(name))
         for name, system in settings.vehicles.items()
     ]
 
 
-def _autopilot(plan: Plan, part: Part, system: int, settings: Settings, control: Control | None) -> Autopilot:
-    frame, max_thrust = frame_of(plan, part, settings.pwm_map)
+def _autopilot(plan: Plan, component: Component, system: int, settings: Settings, control: Control | None) -> Autopilot:
+    frame, max_thrust = frame_of(plan, component, settings.pwm_map)
     own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
-    guided = bool(_vectors(plan, part.name)["eta_d"].signals)
+    guided = bool(_vectors(plan, component.name)["eta_d"].signals)
     autopilot = Autopilot(
         system,
-        part.name,
+        component.name,
         Parameters(system, settings.rates, own),
         settings.origin,
         frame,
@@ -134,18 +134,20 @@ def _autopilot(plan: Plan, part: Part, system: int, settings: Settings, control:
     return autopilot
 
 
-def frame_of(plan: Plan, part: Part, pwm_map: str) -> tuple[Frame | None, float | None]:
+def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[Frame | None, float | None]:
     """The vehicle's frame, None where it says nothing of its thrusters, and the thrust of one [N]."""
-    matrix = {axis: v for axis, v in part.fmu.lookup("T").items() if v.kind == "real" and "," in axis}
+    matrix = {axis: v for axis, v in component.fmu.lookup("T").items() if v.kind == "real" and "," in axis}
     if not matrix:
         return None, None
-    thrust = part.fmu.variables.get("max_thrust")
+    thrust = component.fmu.variables.get("max_thrust")
     read = [*matrix.values(), *([thrust] if thrust else [])]
-    alone = replace(plan, parts=(part,), links=(), recorded=tuple((part.name, v) for v in read), watched=())
+    alone = replace(
+        plan, components=(component,), connections=(), recorded=tuple((component.name, v) for v in read), watched=()
+    )
     with System.open(alone) as system:
         system.initialize()  # a matrix that is calculated is known only then
         table = system.tables["real"].copy()
-        places = {v.name: system.places[part.name, v.name] for v in read}
+        places = {v.name: system.places[component.name, v.name] for v in read}
     rows, columns = np.array([[int(i) for i in axis.split(",")] for axis in matrix]).max(axis=0)
     T = np.zeros((rows, columns))
     for axis, variable in matrix.items():
@@ -155,57 +157,67 @@ def frame_of(plan: Plan, part: Part, pwm_map: str) -> tuple[Frame | None, float 
     try:
         return Frame(T, max_thrust, pwm_map), max_thrust
     except OrchError as error:
-        raise OrchError(f"mavlink.vehicles.{part.name}: {error}") from None
+        raise OrchError(f"mavlink.vehicles.{component.name}: {error}") from None
 
 
-def _vectors(plan: Plan, component: str) -> dict[str, _Vector]:
-    part = next(part for part in plan.parts if part.name == component)
-    commands = [v for v in part.fmu.lookup("u").values() if v.causality == "input" and v.kind == "real"]
-    guide = _guide(plan, component)
+def _vectors(plan: Plan, vehicle: str) -> dict[str, _Vector]:
+    component = next(component for component in plan.components if component.name == vehicle)
+    commands = [v for v in component.fmu.lookup("u").values() if v.causality == "input" and v.kind == "real"]
+    guide = _guide(plan, vehicle)
     return {
-        "eta": _outputs(part, "eta", AXES),
-        "nu": _outputs(part, "nu", BODY),
-        "specific_force": _outputs(part, "specific_force", FORCE),
-        "u": _arriving(plan, part, commands),
+        "eta": _outputs(component, "eta", AXES),
+        "nu": _outputs(component, "nu", BODY),
+        "specific_force": _outputs(component, "specific_force", FORCE),
+        "u": _arriving(plan, component, commands),
         "eta_d": _arriving(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in AXES])
         if guide
         else _Vector(values=[np.nan] * 6),
     }
 
 
-def _outputs(part: Part, vector: str, axes: Sequence[str]) -> _Vector:
-    found = part.fmu.lookup(vector)
+def _outputs(component: Component, vector: str, axes: Sequence[str]) -> _Vector:
+    found = component.fmu.lookup(vector)
     if not all(axis in found and found[axis].causality == "output" for axis in axes):
         return _Vector()
-    return _Vector([(part.name, found[axis]) for axis in axes])
+    return _Vector([(component.name, found[axis]) for axis in axes])
 
 
-def _arriving(plan: Plan, part: Part, inputs: Sequence[Variable]) -> _Vector:
+def _arriving(plan: Plan, component: Component, inputs: Sequence[Variable]) -> _Vector:
     """What drives some inputs of a component: outputs of others, or its start values."""
-    links = {link.input.name: link for link in plan.links if link.sink == part.name}
-    if inputs and all(v.name in links and links[v.name].output.kind == "real" for v in inputs):
-        found = [links[v.name] for v in inputs]
-        scaling = [] if all(link.direct for link in found) else [(link.factor, link.offset) for link in found]
-        return _Vector([(link.source, link.output) for link in found], scaling)
-    return _Vector(values=[float(part.start.get(v.name, v.initial)) for v in inputs])
+    connections = {
+        connection.input.name: connection for connection in plan.connections if connection.sink == component.name
+    }
+    if inputs and all(v.name in connections and connections[v.name].output.kind == "real" for v in inputs):
+        found = [connections[v.name] for v in inputs]
+        scaling = (
+            []
+            if all(connection.direct for connection in found)
+            else [(connection.factor, connection.offset) for connection in found]
+        )
+        return _Vector([(connection.source, connection.output) for connection in found], scaling)
+    return _Vector(values=[float(component.start.get(v.name, v.initial)) for v in inputs])
 
 
-def _guide(plan: Plan, vehicle: str) -> Part | None:
+def _guide(plan: Plan, vehicle: str) -> Component | None:
     """The nearest component upstream of a vehicle that is given an `eta_d`; not through other vehicles."""
-    parts = {part.name: part for part in plan.parts}
-    others = {part.name for part in plan.parts if "eta" in {split_axis(n)[0] for n in _names_of_outputs(part)}}
+    components = {component.name: component for component in plan.components}
+    others = {
+        component.name
+        for component in plan.components
+        if "eta" in {split_axis(n)[0] for n in _names_of_outputs(component)}
+    }
     seen, queue = {vehicle, *others}, deque([vehicle])
     while queue:
         name = queue.popleft()
-        for source in dict.fromkeys(link.source for link in plan.links if link.sink == name):
-            eta_d = parts[source].fmu.lookup("eta_d")
+        for source in dict.fromkeys(connection.source for connection in plan.connections if connection.sink == name):
+            eta_d = components[source].fmu.lookup("eta_d")
             if set(AXES) <= set(eta_d) and all(v.causality == "input" for v in eta_d.values()):
-                return parts[source]
+                return components[source]
             if source not in seen:
                 seen.add(source)
                 queue.append(source)
     return None
 
 
-def _names_of_outputs(part: Part) -> list[str]:
-    return [v.name for v in part.fmu.variables.values() if v.causality == "output"]
+def _names_of_outputs(component: Component) -> list[str]:
+    return [v.name for v in component.fmu.variables.values() if v.causality == "output"]

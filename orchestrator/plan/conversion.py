@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..experiment.experiment import Connection
+from ..experiment.experiment import ConnectionSpec
 from ..fmu.units import Unit, conversion
 from ..fmu.variables import DTYPES, FLOATS, OBJECTS, TRUTHS, WHOLE, Variable
 
 
 def between(
-    connection: Connection, output: Variable, input: Variable, there: Mapping[str, Unit], here: Mapping[str, Unit]
+    connection: ConnectionSpec, output: Variable, input: Variable, there: Mapping[str, Unit], here: Mapping[str, Unit]
 ) -> tuple[float, float]:
     """Factor and offset of one scalar connection.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ..fmu.variables import Variable
-from .plan import Link, Part, Plan
+from .plan import Component, Connection, Plan
 
 Port = tuple[str, str]  # component, variable
 Graph = dict[Port, list[Port]]
@@ -21,7 +21,7 @@ class Cycle:
 
     path: tuple[Port, ...]
     ports: frozenset[Port]
-    delayed: tuple[Link, ...]
+    delayed: tuple[Connection, ...]
 
     def __str__(self) -> str:
         return " <- ".join(f"{component}.{name}" for component, name in (*self.path, self.path[0]))
@@ -30,35 +30,37 @@ class Cycle:
 def dependencies(plan: Plan, initial: bool = False) -> Graph:
     """{port: those it depends on} of everything connected, while stepping or in initialization."""
     inputs: dict[str, list[Variable]] = {}
-    outputs: dict[Port, tuple[Part, Variable]] = {}
-    parts = {part.name: part for part in plan.parts}
+    outputs: dict[Port, tuple[Component, Variable]] = {}
+    components = {component.name: component for component in plan.components}
     graph: Graph = {}
-    for link in plan.links:
-        inputs.setdefault(link.sink, []).append(link.input)
-        outputs[link.source, link.output.name] = parts[link.source], link.output
-        graph[link.sink, link.input.name] = [(link.source, link.output.name)]
-    for port, (part, output) in outputs.items():
+    for connection in plan.connections:
+        inputs.setdefault(connection.sink, []).append(connection.input)
+        outputs[connection.source, connection.output.name] = components[connection.source], connection.output
+        graph[connection.sink, connection.input.name] = [(connection.source, connection.output.name)]
+    for port, (component, output) in outputs.items():
         depends = output.depends
-        if initial and output.array in part.fmu.initial_dependencies:
-            depends = part.fmu.initial_dependencies[output.array]
-        graph[port] = [(part.name, v.name) for v in inputs.get(part.name, []) if depends is None or v.array in depends]
+        if initial and output.array in component.fmu.initial_dependencies:
+            depends = component.fmu.initial_dependencies[output.array]
+        graph[port] = [
+            (component.name, v.name) for v in inputs.get(component.name, []) if depends is None or v.array in depends
+        ]
     return graph
 
 
 def cycles(plan: Plan, initial: bool = False) -> list[Cycle]:
     """The cycles of direct feedthrough, one for each set of ports that hang together."""
     graph = dependencies(plan, initial)
-    order = {part.name: i for i, part in enumerate(plan.parts)}
+    order = {component.name: i for i, component in enumerate(plan.components)}
     jacobi = plan.experiment.master.algorithm == "jacobi"
     found = []
     for ports in components(graph):
         if len(ports) > 1 or ports[0] in graph.get(ports[0], []):
             within = frozenset(ports)
             delayed = tuple(
-                link
-                for link in plan.links
-                if {(link.sink, link.input.name), (link.source, link.output.name)} <= within
-                and (jacobi or order[link.source] >= order[link.sink])
+                connection
+                for connection in plan.connections
+                if {(connection.sink, connection.input.name), (connection.source, connection.output.name)} <= within
+                and (jacobi or order[connection.source] >= order[connection.sink])
             )
             found.append(Cycle(_path(graph, within), within, delayed))
     return found

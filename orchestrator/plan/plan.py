@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Part:
+class Component:
     """A component ready to be instantiated."""
 
     name: str
@@ -33,7 +33,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Link:
+class Connection:
     """One scalar connection: input = factor * output + offset."""
 
     sink: str
@@ -61,8 +61,8 @@ class Plan:
     table of values, too, for an observer."""
 
     experiment: Experiment
-    parts: tuple[Part, ...]
-    links: tuple[Link, ...]
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...]
     recorded: tuple[tuple[str, Variable], ...]
     notes: tuple[str, ...]
     created: str = ""  # when, where a component is live: each such run is one of its kind
@@ -73,18 +73,18 @@ class Plan:
     def warnings(self) -> list[str]:
         """Sentences on what goes against what an FMU declares: its min and max, and its internal step."""
         limits = [
-            f"{part.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
-            for part in self.parts
-            for name, value in [*part.parameters.items(), *part.start.items()]
-            for low, high in [part.fmu.variables[name].limits]
+            f"{component.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
+            for component in self.components
+            for name, value in [*component.parameters.items(), *component.start.items()]
+            for low, high in [component.fmu.variables[name].limits]
             for side, limit, which in [("below", low, "min"), ("above", high, "max")]
             if isinstance(value, (int, float)) and (value < low if which == "min" else value > high)
         ]
         steps = [
-            f"{part.name}: steps every {step:g} s, no multiple of the {inner:g} s in which its FMU steps inside "
+            f"{component.name}: steps every {step:g} s, no multiple of the {inner:g} s in which its FMU steps inside "
             "(fixedInternalStepSize): what it gives may be late"
-            for part in self.parts
-            for step, inner in [(part.period * self.experiment.master.step, part.fmu.internal_step)]
+            for component in self.components
+            for step, inner in [(component.period * self.experiment.master.step, component.fmu.internal_step)]
             if inner and abs(step / inner - max(1, round(step / inner))) > 1e-6
         ]
         return [*limits, *steps]
@@ -138,9 +138,9 @@ class Plan:
                     "parameters": dict(sorted(p.parameters.items())),
                     "start": dict(sorted(p.start.items())),
                 }
-                for p in self.parts
+                for p in self.components
             ],
-            "connections": sorted(link.ends for link in self.links),
+            "connections": sorted(connection.ends for connection in self.connections),
             "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
         }
@@ -153,7 +153,7 @@ class Plan:
     @property
     def live(self) -> bool:
         """Whether something steers from outside."""
-        return any(part.live for part in self.parts)
+        return any(component.live for component in self.components)
 
     @cached_property
     def digest(self) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import metrics
 from ..errors import ExperimentError, FmuError, Problem, did_you_mean
-from ..experiment.experiment import Component, Experiment
+from ..experiment.experiment import ComponentSpec, Experiment
 from ..fmu.fmu import Fmu, read
 from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
@@ -24,7 +24,7 @@ from ..instances import live
 from ..mavlink import settings as mavlink
 from ..models import build
 from .conversion import between
-from .plan import Link, Part, Plan
+from .plan import Component, Connection, Plan
 
 Reader = Callable[..., Fmu]
 
@@ -53,20 +53,20 @@ class _Resolver:
     def plan(self) -> Plan:
         self.read_fmus()
         self.isolate()
-        parts = [self.part(c) for c in self.experiment.components if c.name in self.fmus]
-        links = self.links()
-        driven: dict[str, set[str]] = {part.name: set() for part in parts}
-        for link in links:
-            driven[link.sink].add(link.input.name)
-        for part in parts:
-            self.unconnected(part, driven[part.name])
+        components = [self.component(c) for c in self.experiment.components if c.name in self.fmus]
+        connections = self.connections()
+        driven: dict[str, set[str]] = {component.name: set() for component in components}
+        for connection in connections:
+            driven[connection.sink].add(connection.input.name)
+        for component in components:
+            self.unconnected(component, driven[component.name])
         recorded = self.recorded()
         self.check_metrics(recorded)
-        self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(parts))
+        self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(components))
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
-        now = datetime.datetime.now(datetime.UTC).isoformat() if any(part.live for part in parts) else ""
-        return Plan(self.experiment, tuple(parts), tuple(links), tuple(recorded), tuple(self.notes), now)
+        now = datetime.datetime.now(datetime.UTC).isoformat() if any(component.live for component in components) else ""
+        return Plan(self.experiment, tuple(components), tuple(connections), tuple(recorded), tuple(self.notes), now)
 
     def problem(self, key: str, sentence: str) -> None:
         self.problems.append(Problem(key, sentence))
@@ -128,7 +128,7 @@ class _Resolver:
                 owner |= {module: digest for module, digest in fmu.python_modules.items() if module not in owner}
                 loaded.add(fmu.path)
 
-    def part(self, component: Component) -> Part:
+    def component(self, component: ComponentSpec) -> Component:
         fmu = self.fmus[component.name]
         parameters = self.values(component, "parameters", component.parameters)
         seed = fmu.variables.get("seed")
@@ -153,7 +153,7 @@ class _Resolver:
             start = self.values(component, "start", table)
         grid = self.experiment.grid
         period = grid.ticks(component.step) if component.step is not None else 1
-        return Part(
+        return Component(
             component.name,
             component.fmu or component.builtin,
             fmu,
@@ -165,7 +165,7 @@ class _Resolver:
             component.timeout,
         )
 
-    def values(self, component: Component, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    def values(self, component: ComponentSpec, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
         """{FMI variable: value} of a component's table `parameters` or `start`."""
         causalities = ("parameter", "structuralParameter") if section == "parameters" else ("input",)
         values, problems = flatten(self.fmus[component.name], causalities, table)
@@ -175,8 +175,8 @@ class _Resolver:
                 self.broken.add(f"{component.name}.{name}")
         return values
 
-    def links(self) -> list[Link]:
-        links: list[Link] = []
+    def connections(self) -> list[Connection]:
+        connections: list[Connection] = []
         driver: dict[tuple[str, str], str] = {}
         for sink, connection in self.experiment.connections.items():
             key, source = f'connections."{sink}"', connection.source
@@ -199,8 +199,8 @@ class _Resolver:
                 except ValueError as error:
                     self.problem(key, str(error))
                     break
-                links.append(Link(sink_component, input, source_component, output, factor, offset))
-        return links
+                connections.append(Connection(sink_component, input, source_component, output, factor, offset))
+        return connections
 
     def end(self, name: str, causality: str, key: str) -> tuple[str, dict[str, Variable]] | None:
         """The component and variables of one end of a connection."""
@@ -248,20 +248,19 @@ class _Resolver:
             return []
         return pairs
 
-    def unconnected(self, part: Part, driven: set[str]) -> None:
-        key = f"components.{part.name}"
-        for name in part.start:
+    def unconnected(self, component: Component, driven: set[str]) -> None:
+        key = f"components.{component.name}"
+        for name in component.start:
             if name in driven:
                 self.problem(f"{key}.start.{name}", "is connected; a start value would be overwritten at once")
-        component = self.components[part.name]
-        if component.start == "fmu":
+        if self.components[component.name].start == "fmu":
             return
         # An input that is a problem already is not reported a second time.
-        known = driven | set(part.start) | {sink.removeprefix(part.name + ".") for sink in self.broken}
-        for name in part.fmu.names("input"):
-            missing = [axis for axis, v in part.fmu.lookup(name).items() if v.name not in known]
+        known = driven | set(component.start) | {sink.removeprefix(component.name + ".") for sink in self.broken}
+        for name in component.fmu.names("input"):
+            missing = [axis for axis, v in component.fmu.lookup(name).items() if v.name not in known]
             if missing and name not in known:
-                whole = len(missing) == len(part.fmu.lookup(name))
+                whole = len(missing) == len(component.fmu.lookup(name))
                 what = repr(name) if whole else f"{name!r} ({', '.join(missing)})"
                 self.problem(
                     key,

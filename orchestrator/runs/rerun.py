@@ -44,12 +44,12 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     plan = resolve(loaded, built, {})
     if plan.live:
         plan = dataclasses.replace(plan, created=facts["experiment_resolved"]["created"])
-    for part in plan.parts:
-        was = record.fact(part.name, "fmu_sha256")
-        if part.fmu.sha256 != was:
+    for component in plan.components:
+        was = record.fact(component.name, "fmu_sha256")
+        if component.fmu.sha256 != was:
             told(
-                f"note: {part.name}: {part.fmu_name} is not the same any more: {was[:10]} then, "
-                f"{part.fmu.sha256[:10]} now"
+                f"note: {component.name}: {component.fmu_name} is not the same any more: {was[:10]} then, "
+                f"{component.fmu.sha256[:10]} now"
             )
     if "from_file" in facts:
         origin = facts["experiment_resolved"]["from"]
@@ -66,12 +66,12 @@ def replay_of(record: Run, plan: Plan) -> dict[str, dict[str, Any]]:
     Raises StoreError where the record does not say.
     """
     found = {}
-    for part in plan.parts:
-        if part.live:
-            heard = record.heard(part.name)
+    for component in plan.components:
+        if component.live:
+            heard = record.heard(component.name)
             if heard is None:
-                raise StoreError(f"{record.path} does not say what {part.name!r} heard; it cannot be repeated")
-            found[part.name] = {"replay": heard}
+                raise StoreError(f"{record.path} does not say what {component.name!r} heard; it cannot be repeated")
+            found[component.name] = {"replay": heard}
     return found
 
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import OrchError, Problem
-from ..plan.plan import Part, Plan
+from ..plan.plan import Component, Plan
 
 TIMEOUT = 60.0  # s, for what takes one
 # What the child writes before each phase, and how to say that it ended there.
@@ -37,14 +37,16 @@ def problems(plan: Plan, timeout: float = TIMEOUT) -> list[Problem]:
 
     timeout: s, for each.  Components of the same FMU and the same values are tried once.
     """
-    first: dict[tuple[str, ...], Part] = {}
-    for part in (part for part in plan.parts if not part.live):
-        values = (repr(sorted(part.parameters.items())), repr(sorted(part.start.items())))
-        first.setdefault((part.fmu.sha256, str(part.period), *values), part)
+    first: dict[tuple[str, ...], Component] = {}
+    for component in (component for component in plan.components if not component.live):
+        values = (repr(sorted(component.parameters.items())), repr(sorted(component.start.items())))
+        first.setdefault((component.fmu.sha256, str(component.period), *values), component)
     children: list[subprocess.Popen[bytes]] = []
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
         try:
-            futures = {pool.submit(_try, plan, part, timeout, children): part.name for part in first.values()}
+            futures = {
+                pool.submit(_try, plan, component, timeout, children): component.name for component in first.values()
+            }
             found = {name: future.result() for future, name in futures.items()}
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -54,10 +56,10 @@ def problems(plan: Plan, timeout: float = TIMEOUT) -> list[Problem]:
     return [Problem(f"components.{name}.fmu", sentence) for name, sentence in found.items() if sentence]
 
 
-def _try(plan: Plan, part: Part, timeout: float, children: list[subprocess.Popen[bytes]]) -> str:
+def _try(plan: Plan, component: Component, timeout: float, children: list[subprocess.Popen[bytes]]) -> str:
     """What goes wrong with one component, "" for nothing.  children: of this process, to which its own is added."""
-    recorded = tuple((name, variable) for name, variable in plan.recorded if name == part.name)
-    alone = replace(plan, parts=(part,), links=(), recorded=recorded)
+    recorded = tuple((name, variable) for name, variable in plan.recorded if name == component.name)
+    alone = replace(plan, components=(component,), connections=(), recorded=recorded)
     # What a child that is killed leaves behind goes with the folder.
     with tempfile.TemporaryDirectory(prefix="orch-", ignore_cleanup_errors=True) as folder:
         outcome = Path(folder) / "outcome"
@@ -84,7 +86,7 @@ def _try(plan: Plan, part: Part, timeout: float, children: list[subprocess.Popen
     if phase == FAILED:
         return words
     ended = ended or f"ended the process ({_ending(child.returncode)})"
-    return f"{part.fmu.path} {ended} {PHASES.get(phase, 'when it was done')}"
+    return f"{component.fmu.path} {ended} {PHASES.get(phase, 'when it was done')}"
 
 
 def _ending(code: int) -> str:
@@ -95,7 +97,7 @@ def _ending(code: int) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """The child."""
-    from ..simulation.component import MemberFailed
+    from ..simulation.component import ComponentFailed
     from ..simulation.initialization import AlgebraicLoop
     from ..simulation.system import System
 
@@ -113,8 +115,8 @@ def main(arguments: Sequence[str]) -> None:
                 system.initialize()
                 tell("free")
             tell(DONE)
-        except MemberFailed as error:
-            tell(FAILED, f"{plan.parts[0].fmu.path} fails to initialize: {error}")
+        except ComponentFailed as error:
+            tell(FAILED, f"{plan.components[0].fmu.path} fails to initialize: {error}")
         except (OrchError, AlgebraicLoop) as error:
             tell(FAILED, str(error))
     os._exit(0)  # an FMU that has failed may crash at exit

@@ -33,7 +33,7 @@ class Alternations:
 
     def __init__(self, system: System):
         self._system = system
-        self.every = _stride([part.period for part in system.plan.parts], system.plan.steps)
+        self.every = _stride([component.period for component in system.plan.components], system.plan.steps)
         self._table = system.tables["real"][: system.computed["real"]]
         n = len(self._table)
         self._counts = np.zeros(n, dtype=np.int64)
@@ -43,8 +43,8 @@ class Alternations:
         # Limits that do not lie around zero have a middle of their own.
         middle = np.zeros(n)
         self._threshold = np.full(n, -(NOISE**2))
-        for member in system.members:
-            for place, variable in zip(member.places, member.reals, strict=True):
+        for stepper in system.steppers:
+            for place, variable in zip(stepper.places, stepper.reals, strict=True):
                 low, high = variable.limits
                 if math.isfinite(high - low) and low * high >= 0.0:
                     middle[place] = (low + high) / 2
@@ -85,16 +85,16 @@ class Alternations:
         """A sentence for each vector that alternated for most of the run.  ticks: how many it looked at."""
         step = self._system.plan.experiment.master.step
         found = []
-        for member in self._system.members:
-            steps = ticks // self.every // member.part.period
+        for stepper in self._system.steppers:
+            steps = ticks // self.every // stepper.component.period
             if steps < FEWEST_STEPS:
                 continue
             size: dict[tuple[str, str], float] = {}  # of vectors, by unit: square of the peak of the largest axis
-            for place, variable in zip(member.places, member.reals, strict=True):
+            for place, variable in zip(stepper.places, stepper.reals, strict=True):
                 key = split_axis(variable.name)[0], variable.unit
                 size[key] = max(size.get(key, 0.0), self._largest[place])
             worst: dict[str, dict[str, float]] = {}
-            for place, variable in zip(member.places, member.reals, strict=True):
+            for place, variable in zip(stepper.places, stepper.reals, strict=True):
                 vector, axis = split_axis(variable.name)
                 share = self._counts[place] / steps
                 amplitude = (self._sum_abs[place] - self._sum[place]) / 2 / max(self._counts[place], 1)  # squared
@@ -102,10 +102,10 @@ class Alternations:
                     worst.setdefault(vector, {})[axis] = share
             for vector, shares in worst.items():
                 axes = f" ({' '.join(shares)})" if any(shares) else ""
-                held = step * member.part.period
+                held = step * stepper.component.period
                 found.append(
-                    f"{member.part.name}.{vector}{axes} alternates from step to step in {max(shares.values()):.0%} of "
-                    f"the run: held over {held:g} s, the loop is beyond its stability limit and the result is wrong "
+                    f"{stepper.component.name}.{vector}{axes} alternates from step to step in "
+                    f"{max(shares.values()):.0%} of the run: held over {held:g} s, the loop is beyond its stability limit and the result is wrong "
                     f"even where it looks right; take a smaller step (orch converge shows which)"
                 )
         return found

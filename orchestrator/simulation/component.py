@@ -11,7 +11,7 @@ from typing import Any
 
 from ..fmu.variables import FLOATS, Variable
 from ..instances.fmi2 import CallFailed, Instance, references_of
-from ..plan.plan import Part
+from ..plan.plan import Component
 
 AT_ONCE, TICK_END, PERIOD_END = range(3)  # when what a component has computed becomes visible: see `master`
 
@@ -66,7 +66,7 @@ class Publication:
 
 
 @dataclass
-class Member:
+class Stepper:
     """A component in the loop.
 
     Each step: `gathers` (table to buffers), `sets`, `step`, `gets`, `publish[AT_ONCE]`.  `publish[TICK_END]` follows
@@ -74,7 +74,7 @@ class Member:
     is `batched` does the calls of `sets` and `gets` within its step.
     """
 
-    part: Part
+    component: Component
     instance: Instance
     h: float  # s, of its steps
     inputs: list[Input] = field(default_factory=list)
@@ -143,18 +143,18 @@ def _convert(tables: Mapping[str, Any], conversions: Sequence[Conversion], buffe
         buffer[c.target] = c.factor * float(tables[c.kind][c.source]) + c.offset
 
 
-class MemberFailed(Exception):
+class ComponentFailed(Exception):
     """A component failed.  `.name`: its name; the text: its words."""
 
-    def __init__(self, member: Member, words: str, status: int = 3):
+    def __init__(self, stepper: Stepper, words: str, status: int = 3):
         super().__init__(words)
-        self.member, self.name, self.status = member, member.part.name, status
+        self.stepper, self.name, self.status = stepper, stepper.component.name, status
 
 
 @contextlib.contextmanager
-def failing(member: Member) -> Iterator[None]:
+def failing(stepper: Stepper) -> Iterator[None]:
     """Turn a failed FMI call into MemberFailed."""
     try:
         yield
     except CallFailed as error:
-        raise MemberFailed(member, str(error), error.status) from None
+        raise ComponentFailed(stepper, str(error), error.status) from None

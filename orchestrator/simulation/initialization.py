@@ -16,7 +16,7 @@ import numpy as np
 from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
-from .component import Input, Member, failing
+from .component import Input, Stepper, failing
 
 if TYPE_CHECKING:
     from .system import System
@@ -38,53 +38,53 @@ def settle(system: System) -> list[str]:
     Raises MemberFailed, or AlgebraicLoop where neither sweeps nor Newton's method find values that agree.
     """
     loops = cycles(system.plan, initial=True)
-    first = [input.buffer.copy() for member in system.members for input in member.inputs]
-    members = {member.part.name: member for member in system.members}
+    first = [input.buffer.copy() for stepper in system.steppers for input in stepper.inputs]
+    steppers = {stepper.component.name: stepper for stepper in system.steppers}
     for name in _schedule(system):
-        exchange(members[name])
+        exchange(steppers[name])
     for _ in range(SWEEPS):
         before = {kind: table.copy() for kind, table in system.tables.items()}
-        for member in system.members:
-            exchange(member)
+        for stepper in system.steppers:
+            exchange(stepper)
         changes = _changes(system, before)
         if not changes:
             return []
     if all(abs(now - was) <= TOLERANCE * max(1.0, abs(now)) for _, was, now in changes if not isinstance(now, bytes)):
         return []
-    buffers = [input.buffer for member in system.members for input in member.inputs]
+    buffers = [input.buffer for stepper in system.steppers for input in stepper.inputs]
     for buffer, values in zip(buffers, first, strict=True):
         buffer[:] = values
     return _Newton(system, loops, [name for name, _, _ in changes]).solve()
 
 
-def exchange(member: Member, held: Sequence[tuple[Any, int, float]] = ()) -> None:
+def exchange(stepper: Stepper, held: Sequence[tuple[Any, int, float]] = ()) -> None:
     """Give a component its inputs and take its outputs.  held: (buffer, place, value) in place of what is connected.
 
     Raises MemberFailed.
     """
-    for gather in member.gathers:
+    for gather in stepper.gathers:
         gather()
     for buffer, place, value in held:
         buffer[place] = value
-    with failing(member):
-        for set_ in member.sets:
-            member.instance.check(set_())
-    read(member)
+    with failing(stepper):
+        for set_ in stepper.sets:
+            stepper.instance.check(set_())
+    read(stepper)
 
 
-def read(member: Member) -> None:
+def read(stepper: Stepper) -> None:
     """Take a component's outputs.  Raises MemberFailed."""
-    with failing(member):
-        for get in member.gets:
-            member.instance.check(get())
-    for publish in itertools.chain(*member.publish):
+    with failing(stepper):
+        for get in stepper.gets:
+            stepper.instance.check(get())
+    for publish in itertools.chain(*stepper.publish):
         publish()
 
 
 def _schedule(system: System) -> list[str]:
     """Components in the order in which values flow: one exchange wherever an output needs inputs that are new."""
     graph = dependencies(system.plan, initial=True)
-    stale = {member.part.name for member in system.members}
+    stale = {stepper.component.name for stepper in system.steppers}
     order = []
     for port in itertools.chain(*components_of(graph)):
         component, _ = port
@@ -113,13 +113,13 @@ class _Newton:
     def __init__(self, system: System, loops: Sequence[Cycle], changed: Sequence[str]):
         self._system, self._loops, self._changed = system, loops, changed
         ports = {port for loop in loops for port in loop.ports}
-        self._places: list[tuple[Member, Input, int]] = [
-            (member, input, place)
-            for member in system.members
-            for input in member.inputs
+        self._places: list[tuple[Stepper, Input, int]] = [
+            (stepper, input, place)
+            for stepper in system.steppers
+            for input in stepper.inputs
             if input.kind in FLOATS
             for place, variable in enumerate(input.variables)
-            if (member.part.name, variable.name) in ports
+            if (stepper.component.name, variable.name) in ports
         ]
 
     def solve(self) -> list[str]:
@@ -162,8 +162,8 @@ class _Newton:
     def _residual(self, x: Any) -> Any:
         """G(x) - x."""
         self._evaluate(x)
-        for member in {id(member): member for member, _, _ in self._places}.values():
-            for gather in member.gathers:
+        for stepper in {id(stepper): stepper for stepper, _, _ in self._places}.values():
+            for gather in stepper.gathers:
                 gather()
         return np.array([input.buffer[place] for _, input, place in self._places], dtype=float) - x
 
@@ -171,13 +171,13 @@ class _Newton:
         """All components with those inputs held at x, so often that what depends on them has followed."""
         for _ in range(SWEEPS):
             before = {kind: table.copy() for kind, table in self._system.tables.items()}
-            for member in self._system.members:
+            for stepper in self._system.steppers:
                 held = [
                     (input.buffer, place, value)
                     for (owner, input, place), value in zip(self._places, x, strict=True)
-                    if owner is member
+                    if owner is stepper
                 ]
-                exchange(member, held)
+                exchange(stepper, held)
             if not _changes(self._system, before):
                 return
 

@@ -19,7 +19,7 @@ import numpy as np
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
 from ..instances.fmi2 import references_of
 from .chatter import Alternations
-from .component import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Member, MemberFailed, failing
+from .component import AT_ONCE, PERIOD_END, TICK_END, Action, ComponentFailed, Conversion, Stepper, failing
 from .system import System
 from .timing import EVERY, Timing
 
@@ -97,27 +97,27 @@ class _Completing:
 
     def complete(self, first: int) -> None:
         k, grid = self.ticks, self._system.plan.experiment.grid
-        for number, member in enumerate(self._system.members[first:], first):
-            if k % member.part.period:
+        for number, stepper in enumerate(self._system.steppers[first:], first):
+            if k % stepper.component.period:
                 continue
             if number > first:
-                for gather in member.gathers:
+                for gather in stepper.gathers:
                     gather()
-                sets, _ = _calls(member)
-                calls: list[Action] = [*sets, partial(member.step, ctypes.c_double(grid.time(k)))]
+                sets, _ = _calls(stepper)
+                calls: list[Action] = [*sets, partial(stepper.step, ctypes.c_double(grid.time(k)))]
                 for call in calls:
-                    _check(member, call())
-            for get in member.gets:  # of a batched one, too: its step has ended before it came to them
-                _check(member, get())
-            _check_finite(member)
-            for publish in member.publish[AT_ONCE]:
+                    _check(stepper, call())
+            for get in stepper.gets:  # of a batched one, too: its step has ended before it came to them
+                _check(stepper, get())
+            _check_finite(stepper)
+            for publish in stepper.publish[AT_ONCE]:
                 publish()
-        for member in self._system.members:
-            if k % member.part.period == 0:
-                for publish in member.publish[TICK_END]:
+        for stepper in self._system.steppers:
+            if k % stepper.component.period == 0:
+                for publish in stepper.publish[TICK_END]:
                     publish()
-            if (k + 1) % member.part.period == 0:
-                for publish in member.publish[PERIOD_END]:
+            if (k + 1) % stepper.component.period == 0:
+                for publish in stepper.publish[PERIOD_END]:
                     publish()
         self.ticks = k + 1
         if self.ticks % self._system.plan.stride == 0:
@@ -131,10 +131,12 @@ class InterpretedLoop(_Completing):
         self.ticks = system.plan.first
         self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
         self._members = [
-            (number, member, member.part.period, *_calls(member), _sums_of_squares(member, system))
-            for number, member in enumerate(system.members)
+            (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
+            for number, stepper in enumerate(system.steppers)
         ]
-        self._ending = [(m, m.part.period) for m in system.members if m.publish[TICK_END] or m.publish[PERIOD_END]]
+        self._ending = [
+            (m, m.component.period) for m in system.steppers if m.publish[TICK_END] or m.publish[PERIOD_END]
+        ]
         self._checked = [system.tables[kind][:n] for kind in FLOATS if (n := system.computed[kind])]
         self._rows = _Rows(system)
         self.take = self._rows.take
@@ -148,42 +150,42 @@ class InterpretedLoop(_Completing):
             if flag[0] or (timed and clock() > deadline):
                 return
             t = ctypes.c_double(grid.time(k))
-            for number, member, period, sets, gets, sums_of_squares in self._members:
+            for number, stepper, period, sets, gets, sums_of_squares in self._members:
                 if period > 1 and k % period:
                     continue
                 marks = [clock()] if timed else None
-                for gather in member.gathers:
+                for gather in stepper.gathers:
                     gather()
                 for set_ in sets:
                     if (status := set_()) != 0:
-                        _check(member, status)
+                        _check(stepper, status)
                 if marks:
                     marks.append(clock())
-                if (status := member.step(t)) != 0:
-                    _check(member, status)
+                if (status := stepper.step(t)) != 0:
+                    _check(stepper, status)
                 if marks:
                     marks.append(clock())
                 for get in gets:
                     if (status := get()) != 0:
-                        _check(member, status)
+                        _check(stepper, status)
                 for sum_of_squares in sums_of_squares:
                     if not math.isfinite(sum_of_squares()):
-                        _check_finite(member)
-                for publish in member.publish[AT_ONCE]:
+                        _check_finite(stepper)
+                for publish in stepper.publish[AT_ONCE]:
                     publish()
                 if marks:
                     self._timing.add(number, [*marks, clock()])
-            for member, period in self._ending:
+            for stepper, period in self._ending:
                 if k % period == 0:
-                    for publish in member.publish[TICK_END]:
+                    for publish in stepper.publish[TICK_END]:
                         publish()
                 if (k + 1) % period == 0:
-                    for publish in member.publish[PERIOD_END]:
+                    for publish in stepper.publish[PERIOD_END]:
                         publish()
             for values in checked:
                 if not math.isfinite(values.dot(values)):
-                    for member in self._system.members:
-                        _check_finite(member)
+                    for stepper in self._system.steppers:
+                        _check_finite(stepper)
             self.ticks = k + 1
             self._alternations.look(self.ticks)
             if self.ticks % stride == 0:
@@ -201,9 +203,9 @@ class CompiledLoop(_Completing):
         self._rows = _Rows(system)
         self.take = self._rows.take
         # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
-        holds_lock = any(m.instance.batched or m.part.fmu.packaging == "python" for m in system.members)
+        holds_lock = any(m.instance.batched or m.component.fmu.packaging == "python" for m in system.steppers)
         self._loop = extension().Loop(
-            [_program(member) for member in system.members],
+            [_program(stepper) for stepper in system.steppers],
             tuple(system.tables[kind] for kind in NUMBERS),
             tuple(system.computed[kind] for kind in FLOATS),
             tuple(system.recorded[kind] for kind in NUMBERS),
@@ -223,15 +225,15 @@ class CompiledLoop(_Completing):
         self.ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()))
         self._rows.extend(ticks[: self.ticks // stride - first // stride], rows)
         if failed >= 0:
-            member = self._system.members[failed]
+            stepper = self._system.steppers[failed]
             if status == NOT_FINITE:
-                raise MemberFailed(member, member.not_finite())
-            _check(member, status)
+                raise ComponentFailed(stepper, stepper.not_finite())
+            _check(stepper, status)
 
 
-def _program(member: Member) -> tuple[Any, ...]:
+def _program(stepper: Stepper) -> tuple[Any, ...]:
     """A component as `_loop.c` takes it."""
-    instance = member.instance
+    instance = stepper.instance
 
     def call(verb: str, kind: str, variables: list[Variable], buffer: Any) -> tuple[Any, ...]:
         address = 0 if instance.batched else instance.address(instance.accessor(verb, kind))
@@ -239,14 +241,14 @@ def _program(member: Member) -> tuple[Any, ...]:
 
     sets = [
         (*call("Set", i.kind, i.variables, i.buffer), (i.sources, i.targets), _conversions(i.conversions))
-        for i in member.inputs
+        for i in stepper.inputs
     ]
-    gets = [(*call("Get", o.kind, o.variables, o.buffer), None, None) for o in member.outputs]
+    gets = [(*call("Get", o.kind, o.variables, o.buffer), None, None) for o in stepper.outputs]
     published = tuple(
-        [(NUMBERS.index(p.kind), p.buffer, p.chosen, p.targets) for p in member.publications if p.moment == moment]
+        [(NUMBERS.index(p.kind), p.buffer, p.chosen, p.targets) for p in stepper.publications if p.moment == moment]
         for moment in (AT_ONCE, TICK_END, PERIOD_END)
     )
-    return (*instance.program(), member.h, member.part.period, sets, gets, published)
+    return (*instance.program(), stepper.h, stepper.component.period, sets, gets, published)
 
 
 def _conversions(conversions: Sequence[Conversion]) -> Any:
@@ -297,23 +299,23 @@ class _Rows:
             self._clear()
 
 
-def _calls(member: Member) -> tuple[list[Action], list[Action]]:
+def _calls(stepper: Stepper) -> tuple[list[Action], list[Action]]:
     """The setters and getters that the loop calls itself."""
-    return ([], []) if member.instance.batched else (member.sets, member.gets)
+    return ([], []) if stepper.instance.batched else (stepper.sets, stepper.gets)
 
 
-def _sums_of_squares(member: Member, system: System) -> list[Callable[[], Any]]:
+def _sums_of_squares(stepper: Stepper, system: System) -> list[Callable[[], Any]]:
     """Of floats that do not lie in the table yet when the component has stepped: not finite where one is not."""
     tables = [system.tables[kind] for kind in FLOATS]
-    buffers = [buffer for _, buffer in member.floats]
+    buffers = [buffer for _, buffer in stepper.floats]
     return [partial(b.dot, b) for b in buffers if not any(np.shares_memory(b, table) for table in tables)]
 
 
-def _check(member: Member, status: int) -> None:
-    with failing(member):
-        member.instance.check(status)
+def _check(stepper: Stepper, status: int) -> None:
+    with failing(stepper):
+        stepper.instance.check(status)
 
 
-def _check_finite(member: Member) -> None:
-    if words := member.not_finite():
-        raise MemberFailed(member, words)
+def _check_finite(stepper: Stepper) -> None:
+    if words := stepper.not_finite():
+        raise ComponentFailed(stepper, words)

@@ -26,7 +26,7 @@ from ..instances.fmi2 import DISCARD
 from ..instances.live import Live
 from ..runs.checkpoint.resume import resume
 from .chatter import Alternations
-from .component import MemberFailed
+from .component import ComponentFailed
 from .initialization import AlgebraicLoop
 from .loop import Block, Interrupt, Loop, choose
 from .system import System
@@ -90,44 +90,46 @@ def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | No
             if isinstance(observer, Watcher):
                 observer.opened(system)
         _step_all(system, observers, outcome, interrupt)
-    except MemberFailed as failure:
+    except ComponentFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
     except AlgebraicLoop as loop:
         outcome.status, outcome.error = "failed", str(loop)
         outcome.failed_at = system.plan.experiment.grid.time(outcome.ticks)
-    outcome.heard = {m.part.name: m.instance.heard for m in system.members if isinstance(m.instance, Live)}
+    outcome.heard = {m.component.name: m.instance.heard for m in system.steppers if isinstance(m.instance, Live)}
     outcome.warnings += [
-        f"{member.part.name}: {words}" for member in system.members for words in member.instance.take_messages()
+        f"{stepper.component.name}: {words}"
+        for stepper in system.steppers
+        for words in stepper.instance.take_messages()
     ]
     return outcome
 
 
-def _cause(system: System, failure: MemberFailed) -> MemberFailed:
+def _cause(system: System, failure: ComponentFailed) -> ComponentFailed:
     """What gave a value that is not finite failed before what choked on it in the same step."""
-    for member in system.members:
-        if member is not failure.member and (words := member.not_finite()):
-            return MemberFailed(member, words)
+    for stepper in system.steppers:
+        if stepper is not failure.stepper and (words := stepper.not_finite()):
+            return ComponentFailed(stepper, words)
     return failure
 
 
-def _fail(system: System, outcome: Outcome, failure: MemberFailed, interrupt: Interrupt) -> None:
+def _fail(system: System, outcome: Outcome, failure: ComponentFailed, interrupt: Interrupt) -> None:
     grid = system.plan.experiment.grid
-    if interrupt.is_set() and failure.member.instance.batched:  # and did not answer
+    if interrupt.is_set() and failure.stepper.instance.batched:  # and did not answer
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {grid.time(outcome.ticks):.10g} s; {failure.name!r}: {failure}"
         return
-    if failure.status == DISCARD and failure.member.instance.wants_to_end():
+    if failure.status == DISCARD and failure.stepper.instance.wants_to_end():
         outcome.stopped_at = grid.time(outcome.ticks)
         return
     outcome.status = "failed"
     outcome.failed_at = grid.time(outcome.ticks)
     outcome.error = f"{failure.name!r} failed at t = {outcome.failed_at:.10g} s: {failure}"
-    outcome.last_inputs = failure.member.last_inputs()
+    outcome.last_inputs = failure.stepper.last_inputs()
 
 
 def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt) -> None:
     alternations = Alternations(system)
-    timing = Timing([part.period for part in system.plan.parts])
+    timing = Timing([component.period for component in system.plan.components])
     loop = choose(system, alternations, timing, interrupt)
     watchers = [observer for observer in observers if isinstance(observer, Watcher)]
     _hand_over(loop, observers)
@@ -141,10 +143,10 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
                 for watcher in watchers:
                     last = watcher.limit(loop.ticks, last)
                 loop.advance(last, CHUNK_SECONDS)
-            except MemberFailed as failure:
+            except ComponentFailed as failure:
                 if not _ends_with_its_step(system, loop.ticks, failure):
                     raise
-                loop.complete(system.members.index(failure.member))
+                loop.complete(system.steppers.index(failure.stepper))
                 outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
             finally:
                 outcome.ticks = loop.ticks
@@ -155,7 +157,9 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
                 observer.progress(loop.ticks)
     finally:  # a run that fails, or that an FMU ends, is judged too
         timing.stepping = time.perf_counter() - began
-        outcome.timing = timing.summary([part.name for part in system.plan.parts], loop.ticks - first, loop.name)
+        outcome.timing = timing.summary(
+            [component.name for component in system.plan.components], loop.ticks - first, loop.name
+        )
         for watcher in watchers:
             outcome.timing |= watcher.facts()
         outcome.warnings += alternations.warnings(loop.ticks - first)
@@ -164,12 +168,12 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
 
 
-def _ends_with_its_step(system: System, tick: int, failure: MemberFailed) -> bool:
+def _ends_with_its_step(system: System, tick: int, failure: ComponentFailed) -> bool:
     """Whether an FMU asks to end the simulation at the end of the step that it was asked for."""
-    if failure.status != DISCARD or not failure.member.instance.wants_to_end():
+    if failure.status != DISCARD or not failure.stepper.instance.wants_to_end():
         return False
-    end = system.plan.experiment.grid.time(tick + failure.member.part.period)
-    return failure.member.instance.has_reached(end)
+    end = system.plan.experiment.grid.time(tick + failure.stepper.component.period)
+    return failure.stepper.instance.has_reached(end)
 
 
 def _hand_over(loop: Loop, observers: Sequence[Observer]) -> None:

@@ -22,8 +22,8 @@ from ..instances.fmi3 import Instance3
 from ..instances.isolated import Remote
 from ..instances.live import Live
 from ..instances.scratch import Scratch
-from ..plan.plan import Link, Part, Plan
-from .component import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Member, MemberFailed, Publication, failing
+from ..plan.plan import Component, Connection, Plan
+from .component import AT_ONCE, PERIOD_END, TICK_END, ComponentFailed, Conversion, Input, Publication, Stepper, failing
 from .initialization import read, settle
 
 Context = Mapping[str, Mapping[str, Any]]
@@ -49,7 +49,7 @@ class System:
 
     def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, shelf: Shelf):
         self.plan, self._interrupted, self._context, self._shelf = plan, interrupted, context, shelf
-        self.members: list[Member] = []
+        self.steppers: list[Stepper] = []
         self.tables: dict[str, Any] = {}
         self.recorded: dict[str, Any] = {}
         self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
@@ -84,8 +84,8 @@ class System:
             system.close()
 
     def close(self) -> None:
-        for member in self.members:
-            member.instance.close()
+        for stepper in self.steppers:
+            stepper.instance.close()
         sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
         self._folder.close()
 
@@ -95,19 +95,19 @@ class System:
         Returns what there is to say.  Raises MemberFailed, or AlgebraicLoop.
         """
         stop_time = self.plan.experiment.master.stop_time
-        for member in self.members:
-            part = member.part
-            fits = self.plan.steps % part.period == 0  # else its last step ends beyond the stop time
-            with failing(member):
-                member.instance.setup(0.0, stop_time if fits else None, {**part.parameters, **part.start})
+        for stepper in self.steppers:
+            component = stepper.component
+            fits = self.plan.steps % component.period == 0  # else its last step ends beyond the stop time
+            with failing(stepper):
+                stepper.instance.setup(0.0, stop_time if fits else None, {**component.parameters, **component.start})
         notes = settle(self)
-        for member in self.members:
-            with failing(member):
-                member.instance.begin()
-        for member in self.members:
-            read(member)
-            if member.not_finite():
-                raise MemberFailed(member, member.not_finite())
+        for stepper in self.steppers:
+            with failing(stepper):
+                stepper.instance.begin()
+        for stepper in self.steppers:
+            read(stepper)
+            if stepper.not_finite():
+                raise ComponentFailed(stepper, stepper.not_finite())
         return notes
 
     def calculated(self) -> dict[str, dict[str, Any]]:
@@ -116,137 +116,145 @@ class System:
         Raises MemberFailed.
         """
         found: dict[str, dict[str, Any]] = {}
-        for member in self.members:
-            chosen = [v for v in member.part.fmu.variables.values() if v.causality == "calculatedParameter"]
+        for stepper in self.steppers:
+            chosen = [v for v in stepper.component.fmu.variables.values() if v.causality == "calculatedParameter"]
             for kind in NUMBERS:
-                with failing(member):
-                    values = member.instance.values([v for v in chosen if v.kind == kind and not v.element])
+                with failing(stepper):
+                    values = stepper.instance.values([v for v in chosen if v.kind == kind and not v.element])
                 if values:
-                    found.setdefault(member.part.name, {}).update(values)
+                    found.setdefault(stepper.component.name, {}).update(values)
         return found
 
     def _instantiate(self) -> None:
         libraries: dict[Path, Library] = {}
         folders: dict[Path, Path] = {}
-        for part in self.plan.parts:
+        for component in self.plan.components:
             if self._interrupted():
                 raise KeyboardInterrupt
-            path = part.fmu.path
-            if path not in folders and not part.live:
-                folders[path] = self._folder.path / str(len(folders)) / part.fmu.model_identifier
-                self._shelf.unpack(part.fmu, folders[path])
-            if part.live:
-                context = {"interrupted": self._interrupted, **self._context.get(part.name, {})}
-                instance: Instance = Live(part.name, part.fmu, context, context.get("replay"))
+            path = component.fmu.path
+            if path not in folders and not component.live:
+                folders[path] = self._folder.path / str(len(folders)) / component.fmu.model_identifier
+                self._shelf.unpack(component.fmu, folders[path])
+            if component.live:
+                context = {"interrupted": self._interrupted, **self._context.get(component.name, {})}
+                instance: Instance = Live(component.name, component.fmu, context, context.get("replay"))
             else:
-                instance = self._instance(part, folders[path], libraries)
-            self.members.append(Member(part, instance, self._step_of(part)))
+                instance = self._instance(component, folders[path], libraries)
+            self.steppers.append(Stepper(component, instance, self._step_of(component)))
         # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
         ours = [p for p in sys.path if p.startswith(str(self._folder.path))]
         sys.path[:] = [p for p in sys.path if p not in ours] + ours
 
-    def _instance(self, part: Part, folder: Path, libraries: dict[Path, Library]) -> Instance:
-        path = part.fmu.path
-        if part.isolated or _clash(part.fmu):
-            isolated = sum(isinstance(member.instance, Remote) for member in self.members) + 1
+    def _instance(self, component: Component, folder: Path, libraries: dict[Path, Library]) -> Instance:
+        path = component.fmu.path
+        if component.isolated or _clash(component.fmu):
+            isolated = sum(isinstance(stepper.instance, Remote) for stepper in self.steppers) + 1
             spin = isolated < len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else False
-            return Remote(part.name, part.fmu, folder, part.timeout, spin, self._interrupted)
+            return Remote(component.name, component.fmu, folder, component.timeout, spin, self._interrupted)
         if path not in libraries:
-            _loaded_modules.update(part.fmu.python_modules)
-            libraries[path] = self._shelf.library(part.fmu, folder)
-        return (Instance if part.fmu.version == 2 else Instance3)(part.name, libraries[path])
+            _loaded_modules.update(component.fmu.python_modules)
+            libraries[path] = self._shelf.library(component.fmu, folder)
+        return (Instance if component.fmu.version == 2 else Instance3)(component.name, libraries[path])
 
-    def _step_of(self, part: Part) -> float:
+    def _step_of(self, component: Component) -> float:
         """Of the component [s]."""
-        return self.plan.experiment.grid.time(part.period) if part.period > 1 else self.plan.experiment.master.step
+        return (
+            self.plan.experiment.grid.time(component.period)
+            if component.period > 1
+            else self.plan.experiment.master.step
+        )
 
     def _wire(self) -> None:
         plan = self.plan
-        links = {(k.sink, k.input.name): k for k in plan.links}
-        read = {(k.source, k.output.name): k.output for k in plan.links} | {
+        connections = {(k.sink, k.input.name): k for k in plan.connections}
+        read = {(k.source, k.output.name): k.output for k in plan.connections} | {
             (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
         }
-        fmus = {part.name: part.fmu for part in plan.parts}
+        fmus = {component.name: component.fmu for component in plan.components}
         outputs = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality != "input"))
         # Of each component, the driven inputs first, so that they are one block; then those that are only recorded.
-        driven = _Ports(fmus, ((k.sink, k.input) for k in plan.links))
+        driven = _Ports(fmus, ((k.sink, k.input) for k in plan.connections))
         held = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality == "input"), besides=driven)
         place = self.places
 
-        def reserve(part: Part, ports: _Ports) -> None:
+        def reserve(component: Component, ports: _Ports) -> None:
             for kind in KINDS:
-                for variable in ports.of(part.name, kind):
-                    place[part.name, variable.name] = len(self.names[kind])
-                    self.names[kind].append(f"{part.name}.{variable.name}")
+                for variable in ports.of(component.name, kind):
+                    place[component.name, variable.name] = len(self.names[kind])
+                    self.names[kind].append(f"{component.name}.{variable.name}")
 
-        for part in plan.parts:
-            reserve(part, outputs)
+        for component in plan.components:
+            reserve(component, outputs)
         self.computed = {kind: len(names) for kind, names in self.names.items()}
-        for part in plan.parts:
-            reserve(part, driven)
-            reserve(part, held)
+        for component in plan.components:
+            reserve(component, driven)
+            reserve(component, held)
         for kind in KINDS:
             start: Any = b"" if kind in OBJECTS else 0
             self.tables[kind] = np.full(len(self.names[kind]), start, dtype=DTYPES[kind])
             places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
             self.recorded[kind] = np.array(places, dtype=np.intp)
-        for member in self.members:
-            name = member.part.name
+        for stepper in self.steppers:
+            name = stepper.component.name
             for kind in KINDS:
                 for variable in [*driven.of(name, kind), *held.of(name, kind)]:
-                    value = member.part.start.get(variable.name, variable.initial)
+                    value = stepper.component.start.get(variable.name, variable.initial)
                     self.tables[kind][place[name, variable.name]] = value.encode() if kind == "string" else value
                 if variables := driven.of(name, kind):
-                    self._wire_inputs(member, kind, variables, place, [links.get((name, v.name)) for v in variables])
+                    self._wire_inputs(
+                        stepper, kind, variables, place, [connections.get((name, v.name)) for v in variables]
+                    )
                 if variables := outputs.of(name, kind):
-                    self._wire_outputs(member, kind, variables, place[name, variables[0].name])
+                    self._wire_outputs(stepper, kind, variables, place[name, variables[0].name])
 
     def _wire_inputs(
         self,
-        member: Member,
+        stepper: Stepper,
         kind: str,
         variables: list[Variable],
         place: Mapping[tuple[str, str], int],
-        links: list[Link | None],
+        connections: list[Connection | None],
     ) -> None:
-        first, n = place[member.part.name, variables[0].name], len(variables)
+        first, n = place[stepper.component.name, variables[0].name], len(variables)
         buffer = self.tables[kind][first : first + n]
-        if member.instance.batched:
-            buffer = member.instance.room(kind, n)
+        if stepper.instance.batched:
+            buffer = stepper.instance.room(kind, n)
             buffer[:] = self.tables[kind][first : first + n]
         sources, targets, conversions = [], [], []
-        for target, link in enumerate(links):
-            if link is None:  # an element of an array of which others are connected
+        for target, connection in enumerate(connections):
+            if connection is None:  # an element of an array of which others are connected
                 continue
-            source = place[link.source, link.output.name]
-            if link.direct:
+            source = place[connection.source, connection.output.name]
+            if connection.direct:
                 sources.append(source)
                 targets.append(target)
             else:
-                conversions.append(Conversion(link.output.kind, source, target, link.factor, link.offset))
+                conversions.append(
+                    Conversion(connection.output.kind, source, target, connection.factor, connection.offset)
+                )
         direct = np.array(sources, dtype=np.intp), np.array(targets, dtype=np.intp)
         computed = {kind: table[: self.computed[kind]] for kind, table in self.tables.items()}
-        member.reads(Input(kind, variables, buffer, *direct, conversions), computed)
-        if member.instance.batched and self.plan.experiment.record.inputs:
+        stepper.reads(Input(kind, variables, buffer, *direct, conversions), computed)
+        if stepper.instance.batched and self.plan.experiment.record.inputs:
             everything = np.arange(n, dtype=np.intp)
-            member.publishes(Publication(kind, AT_ONCE, buffer, everything, everything + first), self.tables[kind])
+            stepper.publishes(Publication(kind, AT_ONCE, buffer, everything, everything + first), self.tables[kind])
 
-    def _wire_outputs(self, member: Member, kind: str, variables: list[Variable], first: int) -> None:
+    def _wire_outputs(self, stepper: Stepper, kind: str, variables: list[Variable], first: int) -> None:
         table, n = self.tables[kind], len(variables)
         jacobi = self.plan.experiment.master.algorithm == "jacobi"
-        if member.part.period == 1 and not jacobi and not member.instance.batched:
+        if stepper.component.period == 1 and not jacobi and not stepper.instance.batched:
             buffer = table[first : first + n]
         else:
-            buffer = member.instance.room(kind, n) if member.instance.batched else np.zeros(n, dtype=DTYPES[kind])
-            at_once = [i for i, v in enumerate(variables) if v.feedthrough or member.part.period == 1]
+            buffer = stepper.instance.room(kind, n) if stepper.instance.batched else np.zeros(n, dtype=DTYPES[kind])
+            at_once = [i for i, v in enumerate(variables) if v.feedthrough or stepper.component.period == 1]
             later = [i for i in range(n) if i not in at_once]
             for chosen, moment in ((at_once, TICK_END if jacobi else AT_ONCE), (later, PERIOD_END)):
                 if chosen:
                     places = np.array(chosen, dtype=np.intp)
-                    member.publishes(Publication(kind, moment, buffer, places, places + first), table)
+                    stepper.publishes(Publication(kind, moment, buffer, places, places + first), table)
         if kind == "real":
-            member.reals, member.places = variables, range(first, first + n)
-        member.gives(kind, variables, buffer)
+            stepper.reals, stepper.places = variables, range(first, first + n)
+        stepper.gives(kind, variables, buffer)
 
 
 class _Ports:

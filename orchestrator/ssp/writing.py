@@ -20,7 +20,7 @@ from ..files import replacing
 from ..fmu.fmu import Fmu
 from ..fmu.units import BASE, Unit
 from ..fmu.variables import FLOATS, OBJECTS, TRUTHS, Variable
-from ..plan.plan import Link, Part, Plan
+from ..plan.plan import Component, Connection, Plan
 from .names import DESCRIPTION, FMU, NAMESPACES, OSP, OURS, tag
 
 PARAMETERS = "initialValues"  # the name of every component's parameter set: Ecos applies a set by name
@@ -28,7 +28,7 @@ PARAMETERS = "initialValues"  # the name of every component's parameter set: Eco
 
 def export(plan: Plan, target: Path) -> Path:
     """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where it cannot be written."""
-    if live := [part.name for part in plan.parts if part.live]:
+    if live := [component.name for component in plan.components if component.live]:
         names = ", ".join(live)
         raise OrchError(f"{plan.experiment.path} cannot become an SSP: {names} runs inside orch, and is no FMU")
     sources = _sources(plan)
@@ -38,7 +38,7 @@ def export(plan: Plan, target: Path) -> Path:
         raise OrchError(f"{plan.experiment.path} cannot become an SSP: {error}") from None
     with replacing(target) as half, zipfile.ZipFile(half, "w") as archive:
         archive.writestr(_entry(DESCRIPTION, zipfile.ZIP_DEFLATED), description)
-        for fmu in {part.fmu.sha256: part.fmu for part in plan.parts}.values():
+        for fmu in {component.fmu.sha256: component.fmu for component in plan.components}.values():
             archive.writestr(_entry(sources[fmu.sha256], zipfile.ZIP_STORED), fmu.path.read_bytes())
     return target
 
@@ -48,19 +48,19 @@ def limits(plan: Plan) -> list[str]:
     found, master = [], plan.experiment.master
     if master.algorithm != "jacobi":
         found.append(f"libcosim and Ecos step all components at once, as jacobi does; this is {master.algorithm}")
-    if slow := [part.name for part in plan.parts if part.period > 1]:
+    if slow := [component.name for component in plan.components if component.period > 1]:
         names = ", ".join(slow)
         found.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
-    named = [f"{k.sink}.{k.input.name}" for k in plan.links if k.input.type == "Enumeration"]
+    named = [f"{k.sink}.{k.input.name}" for k in plan.connections if k.input.type == "Enumeration"]
     named += [
         f"{p.name}.{n}"
-        for p in plan.parts
+        for p in plan.components
         for n in {**p.parameters, **p.start}
         if p.fmu.variables[n].type == "Enumeration"
     ]
     if named:
         found.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
-    if modern := [part.name for part in plan.parts if part.fmu.version > 2]:
+    if modern := [component.name for component in plan.components if component.fmu.version > 2]:
         found.append(f"SSP 1.0 knows FMI 2.0, libcosim runs nothing else: {', '.join(modern)} is FMI 3.0")
     return found
 
@@ -70,9 +70,11 @@ def beyond(plan: Plan) -> dict[str, Any]:
     experiment = plan.experiment
     said = ("name", "fmu", "builtin", "parameters", "start", "step", "swapped")
     components = {c.name: _differing(c, *said) for c in experiment.components}
-    for part in plan.parts:
-        if wide := {name: value for name, value in {**part.parameters, **part.start}.items() if _too_wide(value)}:
-            components[part.name]["values"] = wide
+    for component in plan.components:
+        if wide := {
+            name: value for name, value in {**component.parameters, **component.start}.items() if _too_wide(value)
+        }:
+            components[component.name]["values"] = wide
     return {
         "title": experiment.title,
         "master": _differing(experiment.master, "stop_time", "step") | {"algorithm": experiment.master.algorithm},
@@ -101,12 +103,12 @@ def _differing(settings: Any, *without: str) -> dict[str, Any]:
 def _sources(plan: Plan) -> dict[str, str]:
     """{SHA-256 of an FMU: its place in the archive}, one place a content, one content a place."""
     places: dict[str, str] = {}
-    for part in plan.parts:
-        stem = re.sub(r"[^A-Za-z0-9_.-]", "_", part.fmu.path.stem)
+    for component in plan.components:
+        stem = re.sub(r"[^A-Za-z0-9_.-]", "_", component.fmu.path.stem)
         place = f"resources/{stem}.fmu"
-        if part.fmu.sha256 not in places:
+        if component.fmu.sha256 not in places:
             taken = place in places.values()
-            places[part.fmu.sha256] = f"resources/{stem}_{part.fmu.sha256[:10]}.fmu" if taken else place
+            places[component.fmu.sha256] = f"resources/{stem}_{component.fmu.sha256[:10]}.fmu" if taken else place
     return places
 
 
@@ -130,7 +132,9 @@ class _Writer:
         from lxml import etree
 
         self.etree, self.plan, self.sources = etree, plan, sources
-        self.connected = {(k.sink, k.input.name) for k in plan.links} | {(k.source, k.output.name) for k in plan.links}
+        self.connected = {(k.sink, k.input.name) for k in plan.connections} | {
+            (k.source, k.output.name) for k in plan.connections
+        }
         self.units: dict[str, Unit] = {}  # by their names in the SSD
         self.enumerations: dict[tuple[tuple[str, int], ...], str] = {}  # {items: name}
 
@@ -146,12 +150,12 @@ class _Writer:
         )
         system = self.add(root, "ssd:System", name=name, description=experiment.title)
         elements = self.add(system, "ssd:Elements")
-        for part in self.plan.parts:
-            self.component(elements, part)
-        if self.plan.links:
+        for component in self.plan.components:
+            self.component(elements, component)
+        if self.plan.connections:
             connections = self.add(system, "ssd:Connections")
-            for link in self.plan.links:
-                self.connection(connections, link)
+            for connection in self.plan.connections:
+                self.connection(connections, connection)
         self.definitions(root)
         self.default_experiment(root)
         text: bytes = self.etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
@@ -160,38 +164,39 @@ class _Writer:
     def add(self, parent: Any, element: str, /, **attributes: str) -> Any:
         return self.etree.SubElement(parent, tag(element), **attributes)
 
-    def component(self, elements: Any, part: Part) -> None:
-        component = self.add(
+    def component(self, elements: Any, component: Component) -> None:
+        element = self.add(
             elements,
             "ssd:Component",
-            name=part.name,
+            name=component.name,
             type=FMU,
-            source=self.sources[part.fmu.sha256],
+            source=self.sources[component.fmu.sha256],
             implementation="CoSimulation",
         )
         # libcosim stops at an Enumeration: those that nothing connects may as well be left out.
         ports = [
             v
-            for v in part.fmu.variables.values()
-            if v.causality in ("input", "output") and (v.type != "Enumeration" or (part.name, v.name) in self.connected)
+            for v in component.fmu.variables.values()
+            if v.causality in ("input", "output")
+            and (v.type != "Enumeration" or (component.name, v.name) in self.connected)
         ]
         if ports:
-            connectors = self.add(component, "ssd:Connectors")
+            connectors = self.add(element, "ssd:Connectors")
             for variable in ports:
                 connector = self.add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
-                self.type(connector, part.fmu, variable)
-        values = {name: v for name, v in {**part.parameters, **part.start}.items() if not _too_wide(v)}
+                self.type(connector, component.fmu, variable)
+        values = {name: v for name, v in {**component.parameters, **component.start}.items() if not _too_wide(v)}
         if values:
-            binding = self.add(self.add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+            binding = self.add(self.add(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
             set_ = self.add(
                 self.add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name=PARAMETERS
             )
             parameters = self.add(set_, "ssv:Parameters")
             for name, value in values.items():
-                self.value(self.add(parameters, "ssv:Parameter", name=name), part.fmu.variables[name], value)
-        if part.period > 1:
-            annotation = self.annotation(component, OSP)
-            period = self.plan.experiment.grid.time(part.period)
+                self.value(self.add(parameters, "ssv:Parameter", name=name), component.fmu.variables[name], value)
+        if component.period > 1:
+            annotation = self.annotation(element, OSP)
+            period = self.plan.experiment.grid.time(component.period)
             self.add(annotation, "osp:StepSizeHint", value=repr(period))
 
     def type(self, connector: Any, fmu: Fmu, variable: Variable) -> None:
@@ -211,24 +216,26 @@ class _Writer:
             text = value if isinstance(value, str) else repr(value)
         self.add(parameter, f"ssv:{_type(variable)}", value=text)
 
-    def connection(self, connections: Any, link: Link) -> None:
+    def connection(self, elements: Any, connection: Connection) -> None:
         """Units are converted by factor and offset here: libcosim and Ecos know nothing of units."""
-        scaled = (link.factor, link.offset) != (1.0, 0.0) or (
-            link.input.kind in FLOATS and link.output.kind not in FLOATS
+        scaled = (connection.factor, connection.offset) != (1.0, 0.0) or (
+            connection.input.kind in FLOATS and connection.output.kind not in FLOATS
         )
-        other = link.input.unit and link.output.unit and link.input.unit != link.output.unit
+        other = connection.input.unit and connection.output.unit and connection.input.unit != connection.output.unit
         settled = {"suppressUnitConversion": "true"} if scaled or other else {}
-        connection = self.add(
-            connections,
+        element = self.add(
+            elements,
             "ssd:Connection",
-            startElement=link.source,
-            startConnector=link.output.name,
-            endElement=link.sink,
-            endConnector=link.input.name,
+            startElement=connection.source,
+            startConnector=connection.output.name,
+            endElement=connection.sink,
+            endConnector=connection.input.name,
             **settled,
         )
         if scaled:
-            self.add(connection, "ssc:LinearTransformation", factor=repr(link.factor), offset=repr(link.offset))
+            self.add(
+                element, "ssc:LinearTransformation", factor=repr(connection.factor), offset=repr(connection.offset)
+            )
 
     def unit(self, fmu: Fmu, unit: str) -> str:
         """Its name in the SSD: another one where two FMUs mean different things by it."""

@@ -115,8 +115,8 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _share(part: float, whole: float) -> str:
-    return f"{part / whole:.1%}" if whole else "-"
+def _share(component: float, whole: float) -> str:
+    return f"{component / whole:.1%}" if whole else "-"
 
 
 def record_as_json(run: Run) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def problems_as_json(error: ExperimentError) -> dict[str, Any]:
 def plan(plan: Plan) -> str:
     """The resolved system, as `orch check` prints it."""
     master, record = plan.experiment.master, plan.experiment.record
-    scalars = f"{len(plan.links)} scalar connections"
+    scalars = f"{len(plan.connections)} scalar connections"
     lines = [
         f"{plan.experiment.path}: no problems",
         f"  {master.stop_time:g} s in {plan.steps} steps of {master.step:g} s, {master.algorithm}; {scalars}",
@@ -184,13 +184,16 @@ def plan(plan: Plan) -> str:
         "",
         *columns_of(system.components(plan), indent=2),
     ]
-    if plan.links:
+    if plan.connections:
         lines += ["", *columns_of(system.connections(plan), indent=2)]
     return "\n".join(lines)
 
 
 def _cycle(plan: Plan, cycle: Cycle) -> list[str]:
-    late = ", ".join(f"{link.sink}.{link.input.name} takes {link.source}.{link.output.name}" for link in cycle.delayed)
+    late = ", ".join(
+        f"{connection.sink}.{connection.input.name} takes {connection.source}.{connection.output.name}"
+        for connection in cycle.delayed
+    )
     algorithm = plan.experiment.master.algorithm
     order = "the order of the components" if algorithm == "gauss-seidel" else "jacobi"
     return [

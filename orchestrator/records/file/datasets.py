@@ -68,7 +68,7 @@ def signals_of(plan: Plan) -> tuple[Signal, ...]:
 def _variables(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
     """Component, first variable and shape of each dataset."""
     recorded = {(component, variable.name) for component, variable in plan.recorded}
-    fmus = {part.name: part.fmu for part in plan.parts}
+    fmus = {component.name: component.fmu for component in plan.components}
     for component, variable in plan.recorded:
         if not all((component, element.name) in recorded for element in fmus[component].elements(variable)):
             yield component, variable, ()

@@ -52,7 +52,9 @@ def attributes_of(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str
         "timing": "{}",
         "experiment_path": str(experiment.path.resolve()),
         "changes": json.dumps(experiment.changes),
-        "model_descriptions": json.dumps({part.fmu.sha256: part.fmu.description_xml for part in plan.parts}),
+        "model_descriptions": json.dumps(
+            {component.fmu.sha256: component.fmu.description_xml for component in plan.components}
+        ),
     }
     if experiment.master.seed is not None:
         attributes["seed"] = experiment.master.seed

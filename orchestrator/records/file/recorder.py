@@ -54,7 +54,7 @@ class Recorder:
         self.ticks = plan.first  # of the last row on disk
         attributes = attributes_of(plan, run_id, facts or {})
         signals, self._most = signals_of(plan), plan.steps // plan.stride + 1
-        with in_memory(image(tuple(part.name for part in plan.parts), signals, self._most)) as file:
+        with in_memory(image(tuple(component.name for component in plan.components), signals, self._most)) as file:
             _describe(file, plan, attributes)
             content = image_of(file)
         _claim(path, content)
@@ -220,17 +220,17 @@ class Recorder:
 
 def _describe(file: h5py.File, plan: Plan, attributes: Mapping[str, Any]) -> None:
     describe(file, attributes)
-    for part in plan.parts:
+    for component in plan.components:
         facts = {
-            "fmu": part.fmu_name,
-            "fmu_sha256": part.fmu.sha256,
-            "fmi_version": part.fmu.fmi_version,
-            "packaging": part.fmu.packaging,
-            "parameters": json.dumps(dict(part.parameters)),
+            "fmu": component.fmu_name,
+            "fmu_sha256": component.fmu.sha256,
+            "fmi_version": component.fmu.fmi_version,
+            "packaging": component.fmu.packaging,
+            "parameters": json.dumps(dict(component.parameters)),
         }
-        if any(v.causality == "calculatedParameter" for v in part.fmu.variables.values()):
+        if any(v.causality == "calculatedParameter" for v in component.fmu.variables.values()):
             facts["calculated"] = "{}"
-        describe(file[part.name], facts)
+        describe(file[component.name], facts)
 
 
 def _claim(path: Path, content: bytes) -> None:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import FmuError, StoreError, no_such_file
 from ...fmu.archive import DAMAGED
 from ...instances.fmi2 import CallFailed
-from ...simulation.component import Member, MemberFailed
+from ...simulation.component import ComponentFailed, Stepper
 
 if TYPE_CHECKING:
     from ...simulation.system import System
@@ -94,12 +94,12 @@ def save(system: System, tick: int, run_id: str, path: Path) -> None:
 
     plan = system.plan
     experiment, states, components = plan.experiment, [], []
-    for member in system.members:
+    for stepper in system.steppers:
         try:
-            states.append(member.instance.save())
+            states.append(stepper.instance.save())
         except (CallFailed, FmuError) as error:
-            raise MemberFailed(member, f"its state cannot be saved: {error}") from None
-        components.append(_facts(system, member))
+            raise ComponentFailed(stepper, f"its state cannot be saved: {error}") from None
+        components.append(_facts(system, stepper))
     values = json.dumps(components)
     about = {
         "format": FORMAT,
@@ -134,25 +134,25 @@ def save(system: System, tick: int, run_id: str, path: Path) -> None:
         raise StoreError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _facts(system: System, member: Member) -> dict[str, Any]:
-    part, tables = member.part, system.tables
-    kinds = {v.name: v.kind for v in part.fmu.variables.values()}
+def _facts(system: System, stepper: Stepper) -> dict[str, Any]:
+    component, tables = stepper.component, system.tables
+    kinds = {v.name: v.kind for v in component.fmu.variables.values()}
     values = {
         name: _plain(kinds[name], tables[kinds[name]][place])
-        for (component, name), place in system.places.items()
-        if component == part.name
+        for (owner, name), place in system.places.items()
+        if owner == component.name
     }
     return {
-        "name": part.name,
-        "fmu": part.fmu_name,
-        "fmu_sha256": part.fmu.sha256,
-        "packaging": part.fmu.packaging,
-        "period": part.period,
-        "parameters": dict(part.parameters),
-        "start": dict(part.start),
+        "name": component.name,
+        "fmu": component.fmu_name,
+        "fmu_sha256": component.fmu.sha256,
+        "packaging": component.fmu.packaging,
+        "period": component.period,
+        "parameters": dict(component.parameters),
+        "start": dict(component.start),
         "values": values,
-        "given": _of_buffers(member.inputs),
-        "computed": _of_buffers(member.outputs),
+        "given": _of_buffers(stepper.inputs),
+        "computed": _of_buffers(stepper.outputs),
     }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ...errors import ExperimentError, Problem
-from ...plan.plan import Part, Plan
+from ...plan.plan import Component, Plan
 from ...simulation.master import Watcher
 from ...simulation.system import System
 from . import file
@@ -70,19 +70,19 @@ def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
             ticks.add(tick)
     if ticks or problems:
         problems += [
-            Problem(f"components.{part.name}", f"its state cannot be saved: {words}")
-            for part in plan.parts
-            if (words := _unable(part))
+            Problem(f"components.{component.name}", f"its state cannot be saved: {words}")
+            for component in plan.components
+            if (words := _unable(component))
         ]
     if problems:
         raise ExperimentError(experiment.path, problems)
     return sorted(ticks)
 
 
-def _unable(part: Part) -> str:
+def _unable(component: Component) -> str:
     """Why a component cannot be saved, or ""."""
-    if part.live:
-        return f"{part.fmu_name} runs inside orch, and what it does comes from outside"
-    if missing := [name for name in ABLE if not part.fmu.capabilities[name]]:
-        return f"{part.fmu_name} says of itself: no {', no '.join(missing)}"
+    if component.live:
+        return f"{component.fmu_name} runs inside orch, and what it does comes from outside"
+    if missing := [name for name in ABLE if not component.fmu.capabilities[name]]:
+        return f"{component.fmu_name} says of itself: no {', no '.join(missing)}"
     return ""

@@ -16,12 +16,12 @@ import numpy as np
 from ...errors import ExperimentError, FmuError, Problem
 from ...experiment import experiment as experiments
 from ...instances.fmi2 import CallFailed
-from ...simulation.component import Member, MemberFailed, failing
+from ...simulation.component import ComponentFailed, Stepper, failing
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read
 from .file import Checkpoint, open_checkpoint, value_of
 
 if TYPE_CHECKING:
-    from ...plan.plan import Part, Plan
+    from ...plan.plan import Component, Plan
     from ...simulation.system import System
 
 
@@ -69,8 +69,8 @@ def prepare(
 
 def _component_of(key: str) -> str:
     """The component that a dotted key is about, or ""."""
-    parts = experiments.split_key(key)
-    return parts[1] if len(parts) > 1 and parts[0] == "components" else ""
+    components = experiments.split_key(key)
+    return components[1] if len(components) > 1 and components[0] == "components" else ""
 
 
 def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:
@@ -78,7 +78,7 @@ def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:
 
     Raises ExperimentError, with every reason why it cannot.
     """
-    names = [part.name for part in plan.parts]
+    names = [component.name for component in plan.components]
     checkpoint = replace(checkpoint, fresh=tuple(sorted(set(fresh))))
     saved, problems = checkpoint.about["master"], []
     master, here = plan.experiment.master, f"{checkpoint.path}"
@@ -104,64 +104,68 @@ def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:
             problems.append(Problem(f"components.{name}", f"is missing; {here} has it"))
     driven: dict[str, set[str]] = {name: set() for name in names}
     needed: dict[str, set[str]] = {name: set() for name in names}
-    for link in plan.links:
-        driven[link.sink].add(link.input.name)
-        needed[link.source].add(link.output.name)
-    for component, variable in plan.recorded:
-        needed[component].add(variable.name)
-    for part in plan.parts:
-        if part.name not in checkpoint.components:
+    for connection in plan.connections:
+        driven[connection.sink].add(connection.input.name)
+        needed[connection.source].add(connection.output.name)
+    for name, variable in plan.recorded:
+        needed[name].add(variable.name)
+    for component in plan.components:
+        if component.name not in checkpoint.components:
             problems.append(
-                Problem(f"components.{part.name}", f"is not in {here}, which has: {', '.join(checkpoint.components)}")
+                Problem(
+                    f"components.{component.name}", f"is not in {here}, which has: {', '.join(checkpoint.components)}"
+                )
             )
-        elif part.name in checkpoint.fresh:
-            problems += _unfit_fresh(part, checkpoint, plan)
+        elif component.name in checkpoint.fresh:
+            problems += _unfit_fresh(component, checkpoint, plan)
         else:
-            problems += _unfit(part, checkpoint, driven[part.name], needed[part.name])
+            problems += _unfit(component, checkpoint, driven[component.name], needed[component.name])
     if problems:
         raise ExperimentError(plan.experiment.path, problems)
     return replace(plan, origin=checkpoint)
 
 
-def _unfit_fresh(part: Part, checkpoint: Checkpoint, plan: Plan) -> list[Problem]:
-    if checkpoint.tick % part.period == 0:
+def _unfit_fresh(component: Component, checkpoint: Checkpoint, plan: Plan) -> list[Problem]:
+    if checkpoint.tick % component.period == 0:
         return []
     grid = plan.experiment.grid
     return [
         Problem(
-            f"components.{part.name}.step",
-            f"{checkpoint.time:.10g} s is within a step of {part.name}, of "
-            f"{grid.time(part.period):.10g} s, so it cannot begin there",
+            f"components.{component.name}.step",
+            f"{checkpoint.time:.10g} s is within a step of {component.name}, of "
+            f"{grid.time(component.period):.10g} s, so it cannot begin there",
         )
     ]
 
 
-def _unfit(part: Part, checkpoint: Checkpoint, driven: set[str], needed: set[str]) -> list[Problem]:
+def _unfit(component: Component, checkpoint: Checkpoint, driven: set[str], needed: set[str]) -> list[Problem]:
     """Why a component cannot go on from its saved state."""
-    was, key = checkpoint.components[part.name], f"components.{part.name}"
-    hint = f"--swap {part.name}=FMU begins it anew"
-    if part.live or part.fmu.sha256 != was["fmu_sha256"]:
+    was, key = checkpoint.components[component.name], f"components.{component.name}"
+    hint = f"--swap {component.name}=FMU begins it anew"
+    if component.live or component.fmu.sha256 != was["fmu_sha256"]:
         return [
             Problem(
                 f"{key}.fmu",
-                f"{part.fmu_name} ({part.fmu.sha256[:10]}) is not the FMU of the checkpoint, "
+                f"{component.fmu_name} ({component.fmu.sha256[:10]}) is not the FMU of the checkpoint, "
                 f"{was['fmu']} ({was['fmu_sha256'][:10]}); {hint}",
             )
         ]
     problems = []
-    if part.period != was["period"]:
-        words = f"is {part.period} steps of the master, and was {was['period']}; {hint}"
+    if component.period != was["period"]:
+        words = f"is {component.period} steps of the master, and was {was['period']}; {hint}"
         problems.append(Problem(f"{key}.step", words))
-    for what, now in (("parameters", part.parameters), ("start", part.start)):
+    for what, now in (("parameters", component.parameters), ("start", component.start)):
         now, then = json.loads(json.dumps(dict(now))), was[what]
         for name in sorted({*now, *then}):
             if now.get(name) != then.get(name):
                 words = f"is {_shown(now.get(name))}, and was {_shown(then.get(name))} in the checkpoint; {hint}"
                 problems.append(Problem(f"{key}.{what}.{name}", words))
-    given = {element.name for name in driven for element in part.fmu.elements(part.fmu.variables[name])}
+    given = {element.name for name in driven for element in component.fmu.elements(component.fmu.variables[name])}
     for name in sorted(set(was["given"]) - given):
-        problems.append(Problem(f'connections."{part.name}.{name}"', "is missing: it was connected in the checkpoint"))
-    if checkpoint.tick % part.period and (unknown := sorted(needed - {*was["values"], *was["computed"]})):
+        problems.append(
+            Problem(f'connections."{component.name}.{name}"', "is missing: it was connected in the checkpoint")
+        )
+    if checkpoint.tick % component.period and (unknown := sorted(needed - {*was["values"], *was["computed"]})):
         words = f"the checkpoint lies within a step of it, and was made without its {', '.join(unknown)}"
         problems.append(Problem(key, f"{words}: neither record nor connect them, or make it again with them"))
     return problems
@@ -179,65 +183,67 @@ def resume(system: System) -> list[str]:
     """
     checkpoint = system.plan.origin
     assert checkpoint is not None
-    fresh = [member for member in system.members if member.part.name in checkpoint.fresh]
-    for member in system.members:
-        if member.part.name not in checkpoint.fresh:
-            _go_on(system, member, checkpoint)
-    for member in fresh:
-        with failing(member):
-            member.instance.setup(checkpoint.time, *_initial(system, member))
+    fresh = [stepper for stepper in system.steppers if stepper.component.name in checkpoint.fresh]
+    for stepper in system.steppers:
+        if stepper.component.name not in checkpoint.fresh:
+            _go_on(system, stepper, checkpoint)
+    for stepper in fresh:
+        with failing(stepper):
+            stepper.instance.setup(checkpoint.time, *_initial(system, stepper))
     _settle(system, fresh)
-    for member in fresh:
-        with failing(member):
-            member.instance.begin()
-        read(member)
-    for member in system.members:
-        if words := member.not_finite():
-            raise MemberFailed(member, words)
+    for stepper in fresh:
+        with failing(stepper):
+            stepper.instance.begin()
+        read(stepper)
+    for stepper in system.steppers:
+        if words := stepper.not_finite():
+            raise ComponentFailed(stepper, words)
     return []
 
 
-def _initial(system: System, member: Member) -> tuple[float | None, dict[str, Any]]:
+def _initial(system: System, stepper: Stepper) -> tuple[float | None, dict[str, Any]]:
     """Stop time [s], where its last step ends there, and values to begin with."""
-    plan, part = system.plan, member.part
-    stop_time = plan.experiment.master.stop_time if plan.steps % part.period == 0 else None
-    return stop_time, {**part.parameters, **part.start}
+    plan, component = system.plan, stepper.component
+    stop_time = plan.experiment.master.stop_time if plan.steps % component.period == 0 else None
+    return stop_time, {**component.parameters, **component.start}
 
 
-def _go_on(system: System, member: Member, checkpoint: Checkpoint) -> None:
+def _go_on(system: System, stepper: Stepper, checkpoint: Checkpoint) -> None:
     """Initialize a component as it began, with its last inputs, then put its state and its values back."""
-    was = checkpoint.components[member.part.name]
-    with failing(member):
-        member.instance.setup(0.0, *_initial(system, member))
-        _put_back(member.inputs, was["given"])
-        for set_ in member.sets:
-            member.instance.check(set_())
-        member.instance.begin()
-        state = checkpoint.states[member.part.name]
-        if name := _kills(member, state):
+    was = checkpoint.components[stepper.component.name]
+    with failing(stepper):
+        stepper.instance.setup(0.0, *_initial(system, stepper))
+        _put_back(stepper.inputs, was["given"])
+        for set_ in stepper.sets:
+            stepper.instance.check(set_())
+        stepper.instance.begin()
+        state = checkpoint.states[stepper.component.name]
+        if name := _kills(stepper, state):
             words = f"its FMU crashes ({name}) when given the state that another process saved; it may hold addresses"
-            raise MemberFailed(member, f"{words}: let the component begin anew, --swap {member.part.name}=FMU")
+            raise ComponentFailed(
+                stepper, f"{words}: let the component begin anew, --swap {stepper.component.name}=FMU"
+            )
         try:
-            member.instance.restore(state)
+            stepper.instance.restore(state)
         except (CallFailed, FmuError) as error:
-            raise MemberFailed(member, f"its state cannot be restored: {error}") from None
-    read(member)  # of what is recorded or connected only now
-    _put_back(member.inputs, was["given"])
-    _put_back(member.outputs, was["computed"])
+            raise ComponentFailed(stepper, f"its state cannot be restored: {error}") from None
+    read(stepper)  # of what is recorded or connected only now
+    _put_back(stepper.inputs, was["given"])
+    _put_back(stepper.outputs, was["computed"])
     for name, value in was["values"].items():
-        if (place := system.places.get((member.part.name, name))) is not None:
-            kind = member.part.fmu.variables[name].kind
+        if (place := system.places.get((stepper.component.name, name))) is not None:
+            kind = stepper.component.fmu.variables[name].kind
             system.tables[kind][place] = value_of(kind, value)
 
 
-def _kills(member: Member, state: bytes) -> str:
+def _kills(stepper: Stepper, state: bytes) -> str:
     """The signal that ends a process, forked from this one, in which the state is restored; "" where none does."""
-    if member.instance.batched or not hasattr(os, "fork"):  # in a process of its own it costs nothing but that
+    if stepper.instance.batched or not hasattr(os, "fork"):  # in a process of its own it costs nothing but that
         return ""
     process = os.fork()
     if process == 0:
         with contextlib.suppress(BaseException):
-            member.instance.restore(state)
+            stepper.instance.restore(state)
         os._exit(0)
     _, status = os.waitpid(process, 0)
     return signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else ""
@@ -250,13 +256,13 @@ def _put_back(exchanges: Sequence[Any], values: Mapping[str, Any]) -> None:
                 e.buffer[place] = value_of(e.kind, values[variable.name])
 
 
-def _settle(system: System, fresh: Sequence[Member]) -> None:
+def _settle(system: System, fresh: Sequence[Stepper]) -> None:
     """Give fresh components their inputs until their outputs agree."""
     for _ in range(SWEEPS):
         before = {kind: table.copy() for kind, table in system.tables.items()}
-        for member in fresh:
-            exchange(member)
+        for stepper in fresh:
+            exchange(stepper)
         if all(np.array_equal(before[kind], table) for kind, table in system.tables.items()):
             return
-    names = ", ".join(member.part.name for member in fresh)
+    names = ", ".join(stepper.component.name for stepper in fresh)
     raise AlgebraicLoop(f"the initial values of {names} do not settle in {SWEEPS} sweeps: they depend on each other")

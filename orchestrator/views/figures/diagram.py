@@ -68,9 +68,9 @@ def write(plan: Plan, target: Path) -> Path:
 
 def feedback(plan: Plan) -> set[str]:
     """Components that are fed and give states only: what they put out does not depend on an input of the instant."""
-    fed = {link.sink for link in plan.links}
-    direct = {link.source for link in plan.links if link.output.feedthrough}
-    return fed & {link.source for link in plan.links} - direct
+    fed = {connection.sink for connection in plan.connections}
+    direct = {connection.source for connection in plan.connections if connection.output.feedthrough}
+    return fed & {connection.source for connection in plan.connections} - direct
 
 
 def mermaid(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:

@@ -30,7 +30,7 @@ def cells_of(values: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in values.items():
         is_vector = isinstance(value, Vector)
-        found |= {f"{key}.{axis}": part for axis, part in value.items()} if is_vector else {key: value}
+        found |= {f"{key}.{axis}": component for axis, component in value.items()} if is_vector else {key: value}
     return found
 
 
@@ -110,12 +110,12 @@ def distribution_problems(key: str, table: Mapping[str, Any]) -> list[Problem]:
 
 def labels(keys: Sequence[str]) -> dict[str, str]:
     """{key: its last parts, as many as tell it from the others}: "velocity.x" of components.current....velocity.x."""
-    parts = {key: [p for p in split_key(key) if p not in ("components", "parameters")] for key in keys}
+    components = {key: [p for p in split_key(key) if p not in ("components", "parameters")] for key in keys}
     found = {}
-    for key, own in parts.items():
+    for key, own in components.items():
         least = 2 if len(own) > 1 else 1
         for n in range(least, len(own) + 1):
-            if sum(other[-n:] == own[-n:] for other in parts.values()) == 1:
+            if sum(other[-n:] == own[-n:] for other in components.values()) == 1:
                 break
         found[key] = ".".join(own[-n:]) if own else key
     return found if len(set(found.values())) == len(found) else {key: key for key in keys}
@@ -213,10 +213,10 @@ class _Reader:
 
     def overlaps(self, keys: Sequence[str]) -> None:
         """Two keys of which one lies in the other would overwrite each other."""
-        parts = {key: split_key(key) for key in keys}
+        components = {key: split_key(key) for key in keys}
         for one, other in itertools.permutations(keys, 2):
-            n = len(parts[one])
-            if parts[other][:n] == parts[one] and (len(parts[other]) > n or one < other):
+            n = len(components[one])
+            if components[other][:n] == components[one] and (len(components[other]) > n or one < other):
                 self.problem(f'vary."{other}"', f"lies in {one!r}, which varies too; keep one of them")
 
     def distribution(self, where: str, table: Mapping[str, Any]) -> None:

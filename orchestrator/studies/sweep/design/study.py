@@ -136,7 +136,7 @@ def prepare(
     if problems:
         raise ExperimentError(path, [*experiment.problems, *problems])
     plans = _plans(experiment, design, packaging, told)
-    live = sorted({part.name for plan in plans for part in plan.parts if part.live})
+    live = sorted({component.name for plan in plans for component in plan.components if component.live})
     if live:
         raise ExperimentError(
             path,
@@ -147,8 +147,8 @@ def prepare(
                 for name in live
             ],
         )
-    fmus = {part.fmu_name: part.fmu.sha256 for plan in plans for part in plan.parts}
-    files = {part.fmu.sha256: part.fmu.path for plan in plans for part in plan.parts}
+    fmus = {component.fmu_name: component.fmu.sha256 for plan in plans for component in plan.components}
+    files = {component.fmu.sha256: component.fmu.path for plan in plans for component in plan.components}
     deciding = {"runs": [plan.digest for plan in plans], **design.identity}
     text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
     sweep_id = hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
@@ -163,13 +163,13 @@ def changes(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     A swapped component loses the parameters that the file has for it, as with --swap, and in every run, the file's own
     FMU included: each FMU is at its defaults unless the sweep says otherwise.
     """
-    swaps = {parts[1]: value for key, value in values.items() if (parts := _swapped(key))}
+    swaps = {components[1]: value for key, value in values.items() if (components := _swapped(key))}
     return {key: value for key, value in cells_of(values).items() if not _swapped(key)}, swaps
 
 
 def _swapped(key: str) -> list[str]:
-    parts = split_key(key)
-    return parts if len(parts) == 3 and parts[0] == "components" and parts[2] == "fmu" else []
+    components = split_key(key)
+    return components if len(components) == 3 and components[0] == "components" and components[2] == "fmu" else []
 
 
 def _overruled(varying: Sequence[str], experiment: Experiment) -> list[Problem]:
@@ -231,7 +231,7 @@ def _columns(plans: Sequence[Plan]) -> list[Column]:
 
 
 def _dropped(experiment: Experiment, design: Design) -> list[str]:
-    swapped = [parts[1] for keys, _ in design.lists for key in keys if (parts := _swapped(key))]
+    swapped = [components[1] for keys, _ in design.lists for key in keys if (components := _swapped(key))]
     return [
         f"{c.name}: its fmu varies, so the file's {', '.join(c.parameters)} apply to no run"
         for c in experiment.components

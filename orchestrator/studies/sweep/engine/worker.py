@@ -103,8 +103,8 @@ def plan_of(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage) -> Pla
     fetched = tuple(replace(c, fmu=places.get(c.name, c.fmu)) for c in experiment.components)
     plan = resolve(replace(experiment, components=fetched), {}, {}, shelf.read)
     names = {c.name: c.fmu for c in experiment.components}
-    parts = tuple(replace(part, fmu_name=names[part.name]) for part in plan.parts)
-    return replace(plan, experiment=experiment, parts=parts)
+    components = tuple(replace(component, fmu_name=names[component.name]) for component in plan.components)
+    return replace(plan, experiment=experiment, components=components)
 
 
 def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:

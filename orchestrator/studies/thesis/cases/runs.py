@@ -58,7 +58,7 @@ def _models() -> list[str]:
 def _job(case: Case, plan: Plan, results: str | Path) -> processes.Job:
     sets = [part for key, value in case.sets.items() for part in ("--set", f"{key}={json.dumps(value)}")]
     command = ("-m", "orchestrator.cli.main", "run", str(case.path), "--json", "--results", str(results), *sets)
-    return processes.Job(case.key, command, cost=plan.steps * len(plan.parts))
+    return processes.Job(case.key, command, cost=plan.steps * len(plan.components))
 
 
 def _completed(store: Store, plan: Plan) -> Path | None:
