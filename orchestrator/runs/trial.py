@@ -97,8 +97,8 @@ def _ending(code: int) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """The child."""
-    from ..simulation.component import ComponentFailed
     from ..simulation.initialization import AlgebraicLoop
+    from ..simulation.stepper import ComponentFailed
     from ..simulation.system import System
 
     with open(arguments[0], "a", encoding="utf-8") as outcome:

@@ -105,7 +105,8 @@ class Alternations:
                 held = step * stepper.component.period
                 found.append(
                     f"{stepper.component.name}.{vector}{axes} alternates from step to step in "
-                    f"{max(shares.values()):.0%} of the run: held over {held:g} s, the loop is beyond its stability limit and the result is wrong "
+                    f"{max(shares.values()):.0%} of the run: held over {held:g} s, "
+                    "the loop is beyond its stability limit and the result is wrong "
                     f"even where it looks right; take a smaller step (orch converge shows which)"
                 )
         return found

@@ -16,7 +16,7 @@ import numpy as np
 from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
-from .component import Input, Stepper, failing
+from .stepper import Input, Stepper, failing
 
 if TYPE_CHECKING:
     from .system import System

@@ -19,7 +19,7 @@ import numpy as np
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
 from ..instances.fmi2 import references_of
 from .chatter import Alternations
-from .component import AT_ONCE, PERIOD_END, TICK_END, Action, ComponentFailed, Conversion, Stepper, failing
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, ComponentFailed, Conversion, Stepper, failing
 from .system import System
 from .timing import EVERY, Timing
 

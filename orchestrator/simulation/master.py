@@ -26,9 +26,9 @@ from ..instances.fmi2 import DISCARD
 from ..instances.live import Live
 from ..runs.checkpoint.resume import resume
 from .chatter import Alternations
-from .component import ComponentFailed
 from .initialization import AlgebraicLoop
 from .loop import Block, Interrupt, Loop, choose
+from .stepper import ComponentFailed
 from .system import System
 from .timing import Timing
 

@@ -23,8 +23,8 @@ from ..instances.isolated import Remote
 from ..instances.live import Live
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
-from .component import AT_ONCE, PERIOD_END, TICK_END, ComponentFailed, Conversion, Input, Publication, Stepper, failing
 from .initialization import read, settle
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, ComponentFailed, Conversion, Input, Publication, Stepper, failing
 
 Context = Mapping[str, Mapping[str, Any]]
 

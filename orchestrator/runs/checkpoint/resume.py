@@ -16,8 +16,8 @@ import numpy as np
 from ...errors import ExperimentError, FmuError, Problem
 from ...experiment import experiment as experiments
 from ...instances.fmi2 import CallFailed
-from ...simulation.component import ComponentFailed, Stepper, failing
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read
+from ...simulation.stepper import ComponentFailed, Stepper, failing
 from .file import Checkpoint, open_checkpoint, value_of
 
 if TYPE_CHECKING:
