@@ -257,8 +257,11 @@ def test_units_of_one_quantity_are_converted(resolve, two, source, sink, factor,
         a=[("y", "Real", "output", None, source or None, "it"), *PROBE_VARIABLES[2:]],
         b=[("u", "Real", "input", "0", sink, "it"), *PROBE_VARIABLES[1:]],
     )
-    link = next(link for link in resolve(table).links if link.input.name == "u")
-    assert (link.factor, link.offset) == (pytest.approx(factor, rel=1e-15), pytest.approx(offset, rel=1e-15))
+    connection = next(connection for connection in resolve(table).connections if connection.input.name == "u")
+    assert (connection.factor, connection.offset) == (
+        pytest.approx(factor, rel=1e-15),
+        pytest.approx(offset, rel=1e-15),
+    )
 
 
 @pytest.mark.parametrize(
@@ -278,14 +281,14 @@ def test_a_connection_may_scale_and_may_leave_units_alone(resolve, problems, two
     if isinstance(outcome, str):
         assert outcome in " ".join(sentence for _, sentence in problems(table))
     else:
-        link = next(link for link in resolve(table).links if link.input.name == "u")
-        assert (link.factor, link.offset) == outcome
+        connection = next(connection for connection in resolve(table).connections if connection.input.name == "u")
+        assert (connection.factor, connection.offset) == outcome
 
 
 def test_a_gain_may_carry_the_unit_of_a_number_without_one(resolve, two):
     a = [("y", "Real", "output", None, "1", "a command"), *PROBE_VARIABLES[2:]]
     table = two(a=a, **{"connections.b.u": {"from": "a.y", "gain": 40.0}})
-    assert next(link.factor for link in resolve(table).links if link.input.name == "u") == 40.0
+    assert next(connection.factor for connection in resolve(table).connections if connection.input.name == "u") == 40.0
 
 
 @pytest.mark.parametrize(
@@ -579,7 +582,7 @@ def test_numbered_axes_are_taken_by_their_numbers_and_not_as_they_are_declared(r
     table = two([*outputs, *gains], [*inputs, *named], connections={"b.p": "a.n", "b.q": "a.n"})
     table["components"]["a"]["parameters"] = {"k": list(range(1, 12))}
     plan = resolve(table)
-    found = {link.input.name: link.output.name for link in plan.links}
+    found = {connection.input.name: connection.output.name for connection in plan.connections}
     assert found == {f"p[{i}]": f"n[{i}]" for i in range(1, 12)} | {
         f"q.{axis}": f"n[{i}]" for i, axis in enumerate("abcdefghijk", 1)
     }
