@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from uuv.model import Declared, Equations, Scalar
+from uuv.modelling.declare import Declared, Equations, Scalar
 
 from .units import base_unit
 

@@ -6,7 +6,7 @@ import importlib.metadata
 import pathlib
 from collections.abc import Mapping
 
-from uuv.model import Declared, Equations
+from uuv.modelling.declare import Declared, Equations
 
 from .archive import digest_of, write_archive
 from .description import model_description
@@ -26,7 +26,7 @@ CAPABILITIES = {
 ENTRY = '''"""Where pythonfmu's library begins."""
 from {package} import load
 
-Fmi2Slave = load("uuv.slave").Fmi2Slave
+Fmi2Slave = load("uuv.modelling.slave").Fmi2Slave
 
 
 class {identifier}(Fmi2Slave):

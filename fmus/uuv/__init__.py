@@ -4,8 +4,8 @@ from uuv import ETA, NU, TAU, Input, Model, Output, Parameter, State    # equati
 from uuv import PythonModel                                             # plain Python and numpy
 """
 
-from .model import Calculated, Group, Input, Model, Output, Parameter, State
-from .python_model import PythonModel
+from .modelling.declare import Calculated, Group, Input, Model, Output, Parameter, State
+from .modelling.python_model import PythonModel
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, SPECIFIC_FORCE, TAU, V_C, Signal, U
 
 __all__ = [

@@ -5,7 +5,7 @@ SNAME derivatives keep their sign: added mass and damping are negative.
 
 from __future__ import annotations
 
-from .model import Calculated, Parameter
+from .modelling.declare import Calculated, Parameter
 
 G = 9.81  # m/s2; the thesis's Eq. 4.8
 

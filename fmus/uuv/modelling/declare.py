@@ -19,7 +19,7 @@ from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
-from .signals import Signal
+from ..signals import Signal
 
 GROUPS = ("parameter", "calculated", "input", "state", "output")
 FIRST = 2  # places 0 and 1 hold t and h

@@ -1,10 +1,10 @@
-"""Models in plain Python: the declarations of `uuv.model`, and `do_step` with numpy instead of equations."""
+"""Models in plain Python: the declarations of `declare`, and `do_step` with numpy instead of equations."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 
-from .model import Declared
+from .declare import Declared
 
 
 class PythonModel(Declared):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .model import GROUPS, Declared, Equations, Layout, Model, assign, trace
+from .declare import GROUPS, Declared, Equations, Layout, Model, assign, trace
 from .python_model import PythonModel
 
 ERROR = 3  # fmi2Error

@@ -1,0 +1,147 @@
+"""`python -m packager`: reads one JSON request a line, and answers each with a line, in another order.
+
+A request is {"source": file, "native": file or null, "python": file or null, "compilers": [{"command", "folder"}]}:
+where to write the FMU of which packaging; equations become a native one where that is wanted, a plain Python model
+cannot.  An answer is {"source", "target", "sources": {path: sha256}, "plain": whether it is plain Python}, or
+{"source", "error": sentence, "compiler": whether the compiler is at fault}.
+"""
+
+from __future__ import annotations
+
+import ast
+import concurrent.futures
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import pathlib
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from uuv.modelling.declare import Declared, Model, trace
+
+from . import native, python_fmu
+
+UUV = pathlib.Path(__file__).parent.parent / "uuv"
+
+
+def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Callable[[], dict[str, Any]]:
+    """Build one FMU; what is returned waits for the compilers, and gives the answer."""
+    source = pathlib.Path(request["source"])
+    files = {source.name: source, **_imported(source)}
+    files |= {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
+    modules = {name: path.read_bytes() for name, path in sorted(files.items())}
+    model = _model(source)
+    equations = trace(model) if issubclass(model, Model) else None
+    target = (equations and request["native"]) or request["python"]
+    if target is None:
+        raise ValueError("a PythonModel runs in Python alone and has no native packaging")
+    wait = None
+    if target == request["native"]:
+        compilers = [native.Compiler(tuple(c["command"]), c["folder"]) for c in request["compilers"]]
+        wait = native.build(source.stem, model, equations, compilers, pathlib.Path(target), pool).result
+    else:
+        python_fmu.build(source.stem, model, equations, modules, pathlib.Path(target))
+    digests = {str(path): hashlib.sha256(modules[name]).hexdigest() for name, path in files.items()}
+
+    def answer() -> dict[str, Any]:
+        if wait is not None:
+            wait()
+        return {"target": target, "sources": digests, "plain": equations is None}
+
+    return answer
+
+
+def _imported(source: pathlib.Path) -> dict[str, pathlib.Path]:
+    """{path in the bundle: file} of the modules beside `source` that it imports, directly or through one another."""
+    folder = source.parent
+    found: dict[str, pathlib.Path] = {}
+    waiting = [source]
+    while waiting:
+        for name in _import_names(waiting.pop()):
+            single, package = folder / f"{name}.py", folder / name / "__init__.py"
+            if name == "uuv" or single == source:
+                continue
+            files = [single] if single.exists() else sorted(package.parent.rglob("*.py")) if package.exists() else []
+            new = {str(file.relative_to(folder)): file for file in files}
+            waiting += [file for path, file in new.items() if path not in found]
+            found |= new
+    return found
+
+
+def _import_names(file: pathlib.Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(file.read_bytes(), str(file))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.partition(".")[0])
+    return names
+
+
+def _model(source: pathlib.Path) -> type[Declared]:
+    sys.path.insert(0, str(source.parent))
+    before = set(sys.modules)
+    try:
+        spec = importlib.util.spec_from_file_location(source.stem, source)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(source.parent))
+        for name in set(sys.modules) - before:  # the next model may import another module of that name
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and pathlib.Path(file).is_relative_to(source.parent):
+                del sys.modules[name]
+    models = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Declared)
+        and value.__module__ == source.stem
+        and not getattr(value, "__abstractmethods__", None)
+    ]
+    if len(models) != 1:
+        names = ", ".join(m.__name__ for m in models) or "none"
+        raise ValueError(f"a model file defines one class derived from Model or PythonModel; this one has {names}")
+    return models[0]
+
+
+def _reason(error: BaseException, source: pathlib.Path) -> str:
+    """The error in one line, with the line of the user's file where it came from."""
+    if isinstance(error, SyntaxError):
+        return f"line {error.lineno}: {error.msg}"
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(source)]
+    where = f"line {lines[-1]}: " if lines else ""
+    return f"{where}{type(error).__name__}: {error}"
+
+
+@contextlib.contextmanager
+def _reporting(source: str) -> Iterator[dict[str, Any]]:
+    """What a model prints must not mix with the answers; whatever it raises is the answer."""
+    answer: dict[str, Any] = {"source": source}
+    with contextlib.redirect_stdout(sys.stderr):
+        try:
+            yield answer
+        except native.CompilerError as error:
+            answer |= {"error": str(error), "compiler": True}
+        except Exception as error:
+            answer |= {"error": _reason(error, pathlib.Path(source)), "compiler": False}
+
+
+def main() -> None:
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+        waiting = []
+        for request in map(json.loads, sys.stdin):
+            with _reporting(request["source"]) as answer:
+                waiting.append((answer, package(request, pool)))  # compilers run while the next model is traced
+            if "error" in answer:
+                print(json.dumps(answer), flush=True)
+        for answer, wait in waiting:
+            with _reporting(answer["source"]) as late:
+                late |= wait()
+            print(json.dumps(late), flush=True)
