@@ -17,7 +17,7 @@ sys.path.insert(0, str(build.models_folder()))
 from uuv.bluerov2 import BlueROV2Body, BlueROV2Thrusters
 from uuv.dynamics import coriolis, damping, mass, pinv_rows, restoring, rk4
 from uuv.kinematics import euler_rates, jacobian, rotation
-from uuv.modelling.declare import Model, trace
+from uuv.modelling.equations import Model, trace
 from uuv.tbg import convergence_gain, time_base
 from uuv.thrusters import pinv_thruster_matrix, saturate, thruster_matrix
 

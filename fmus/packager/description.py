@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from uuv.modelling.declare import Declared, Equations, Scalar
+from uuv.modelling.declare import Declared, Scalar
+from uuv.modelling.equations import Equations
 
 from .units import base_unit
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uuv.modelling.declare import Equations, Model
+from uuv.modelling.equations import Equations, Model
 
 from .archive import digest_of, write_archive
 from .description import TYPES, model_description

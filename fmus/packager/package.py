@@ -1,27 +1,18 @@
-"""`python -m packager`: reads one JSON request a line, and answers each with a line, in another order.
-
-A request is {"source": file, "native": file or null, "python": file or null, "compilers": [{"command", "folder"}]}:
-where to write the FMU of which packaging; equations become a native one where that is wanted, a plain Python model
-cannot.  An answer is {"source", "target", "sources": {path: sha256}, "plain": whether it is plain Python}, or
-{"source", "error": sentence, "compiler": whether the compiler is at fault}.
-"""
+"""One model file as one FMU: which modules go into it, which class it defines, which packaging it gets."""
 
 from __future__ import annotations
 
 import ast
 import concurrent.futures
-import contextlib
 import hashlib
 import importlib.util
-import json
-import os
 import pathlib
 import sys
-import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-from uuv.modelling.declare import Declared, Model, trace
+from uuv.modelling.declare import Declared
+from uuv.modelling.equations import Model, trace
 
 from . import native, python_fmu
 
@@ -109,39 +100,3 @@ def _model(source: pathlib.Path) -> type[Declared]:
         names = ", ".join(m.__name__ for m in models) or "none"
         raise ValueError(f"a model file defines one class derived from Model or PythonModel; this one has {names}")
     return models[0]
-
-
-def _reason(error: BaseException, source: pathlib.Path) -> str:
-    """The error in one line, with the line of the user's file where it came from."""
-    if isinstance(error, SyntaxError):
-        return f"line {error.lineno}: {error.msg}"
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(source)]
-    where = f"line {lines[-1]}: " if lines else ""
-    return f"{where}{type(error).__name__}: {error}"
-
-
-@contextlib.contextmanager
-def _reporting(source: str) -> Iterator[dict[str, Any]]:
-    """What a model prints must not mix with the answers; whatever it raises is the answer."""
-    answer: dict[str, Any] = {"source": source}
-    with contextlib.redirect_stdout(sys.stderr):
-        try:
-            yield answer
-        except native.CompilerError as error:
-            answer |= {"error": str(error), "compiler": True}
-        except Exception as error:
-            answer |= {"error": _reason(error, pathlib.Path(source)), "compiler": False}
-
-
-def main() -> None:
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        waiting = []
-        for request in map(json.loads, sys.stdin):
-            with _reporting(request["source"]) as answer:
-                waiting.append((answer, package(request, pool)))  # compilers run while the next model is traced
-            if "error" in answer:
-                print(json.dumps(answer), flush=True)
-        for answer, wait in waiting:
-            with _reporting(answer["source"]) as late:
-                late |= wait()
-            print(json.dumps(late), flush=True)

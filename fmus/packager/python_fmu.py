@@ -6,7 +6,8 @@ import importlib.metadata
 import pathlib
 from collections.abc import Mapping
 
-from uuv.modelling.declare import Declared, Equations
+from uuv.modelling.declare import Declared
+from uuv.modelling.equations import Equations
 
 from .archive import digest_of, write_archive
 from .description import model_description

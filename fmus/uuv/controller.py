@@ -7,7 +7,8 @@ from typing import Any
 from .bluerov2 import BlueROV2Body
 from .dynamics import coriolis, damping, mass, restoring
 from .kinematics import inverse_jacobian, jacobian, jacobian_dot
-from .modelling.declare import Group, Input, Model, Output
+from .modelling.declare import Group, Input, Output
+from .modelling.equations import Model
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, TAU
 
 

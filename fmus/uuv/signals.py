@@ -6,17 +6,7 @@ and BODY (x forward, y starboard, z down); symbols after SNAME and Fossen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A named set of axes.  `axes`: () for a scalar.  `units`: one for all axes, or one an axis."""
-
-    axes: tuple[str, ...]
-    units: str | tuple[str, ...]
-    meaning: str
-
+from .modelling.declare import Signal
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from .declare import GROUPS, Declared, Equations, Layout, Model, assign, trace
+from .declare import GROUPS, Declared, Layout, assign
+from .equations import Equations, Model, trace
 from .python_model import PythonModel
 
 ERROR = 3  # fmi2Error
