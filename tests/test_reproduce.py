@@ -186,10 +186,10 @@ def test_every_case_has_an_experiment_without_problems(case):
     assert plan.experiment.record.every == 0.01
     steps = {"spiral": 2e-5, "gripping": 1e-4}
     assert plan.experiment.master.step == (steps[case.task] if case.controller == "mfsosmc" else 1e-3)
-    controller = next(part for part in plan.parts if part.name.startswith("controller"))
+    controller = next(component for component in plan.components if component.name.startswith("controller"))
     assert controller.fmu_name == case.controller
     assert controller.parameters.get("t_b") == (case.t_b if case.task == "spiral" else controller.parameters.get("t_b"))
-    current = next(part for part in plan.parts if part.name == "current")
+    current = next(component for component in plan.components if component.name == "current")
     assert any(current.parameters.values()) is case.currents
 
 
