@@ -14,7 +14,7 @@ from pathlib import Path
 
 from task import Task, Variable
 
-from orchestrator.models import build
+from orchestrator.models import catalogue
 from orchestrator.models.compiler import find
 
 MODEL = """\
@@ -112,7 +112,7 @@ def compile_limit(task: Task, folder: Path) -> Path:
 
 def _flags() -> tuple[str, ...]:
     """Those of native FMUs."""
-    sys.path.insert(0, str(build.models_folder()))
+    sys.path.insert(0, str(catalogue.models_folder()))
     from packager.native import FLAGS
 
     return tuple(FLAGS)

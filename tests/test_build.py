@@ -8,10 +8,10 @@ import pytest
 from conftest import EXPERIMENTS, MODELS, merged, single
 
 import orchestrator
-from orchestrator.models import build
+from orchestrator.models import catalogue
 
 EXAMPLES = EXPERIMENTS.parent / "examples"
-SHIPPED = {"native", "python"} | {f"{name}.{kind}" for name in build.shipped() for kind in ("fmu", "json")}
+SHIPPED = {"native", "python"} | {f"{name}.{kind}" for name in catalogue.shipped() for kind in ("fmu", "json")}
 
 OFFSET = '''
 from helper import OFFSET
@@ -40,7 +40,7 @@ def offset_later():
 @pytest.fixture
 def fresh(orch, tmp_path):
     """The command with a build folder of the test's own, which holds the shipped models."""
-    shutil.copytree(build.build_folder(), tmp_path / "build", ignore=lambda _, names: set(names) - SHIPPED)
+    shutil.copytree(catalogue.build_folder(), tmp_path / "build", ignore=lambda _, names: set(names) - SHIPPED)
 
     def run(*arguments, **options):
         return orch(*arguments, env={**os.environ, "ORCH_BUILD": str(tmp_path / "build")}, **options)
@@ -88,6 +88,11 @@ def test_what_is_up_to_date_is_not_built_again(fresh, model, tmp_path):
     assert fresh("build", "mine").err == ""  # a built model has a name
     assert fresh("build", path, "--force").err == "building mine\n"
     assert built(tmp_path) != before
+
+
+def test_a_file_with_the_name_of_a_library_module_does_not_stop_a_build(fresh, model):
+    model("json", "raise SystemExit('shadowed')\n")
+    assert fresh("build", model("mine", MODELS["clock"])).code == 0
 
 
 def test_only_what_has_changed_is_built(fresh, model, tmp_path):
@@ -286,7 +291,7 @@ def test_a_new_controller_builds_runs_and_is_listed(fresh, write, spiral, tmp_pa
     )
     assert run.code == 0, run.err
     assert abs(last(run, tmp_path)["controller.tau.Z"]) > 0.0
-    assert {fmu["name"] for fmu in fresh("fmus", "--json").json} == {*build.shipped(), "my_first"}
+    assert {fmu["name"] for fmu in fresh("fmus", "--json").json} == {*catalogue.shipped(), "my_first"}
     assert fresh("new", "controller", "my_first").code == 2  # what is there stays
 
 

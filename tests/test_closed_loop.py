@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import orchestrator as orch
-from orchestrator.models import build
+from orchestrator.models import build, catalogue
 
-EXPERIMENTS = build.experiments_folder()
+EXPERIMENTS = catalogue.experiments_folder()
 
 
 # Published results (thesis Tables 5.2-5.7)

@@ -15,9 +15,9 @@ from conftest import needs_compiler
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from orchestrator.models import build
+from orchestrator.models import build, catalogue, stamps
 
-FMUS = sorted(build.shipped())
+FMUS = sorted(catalogue.shipped())
 SMALLEST = 1e-300  # s; a step that no state of order 1 notices
 
 every_fmu = pytest.mark.parametrize("name", FMUS)
@@ -474,16 +474,17 @@ def test_a_model_is_built_again_when_its_sources_have_changed_and_only_then(own_
         assert other != first
         file.write_text(text)
         assert built() == (first, ["building stale_or_not"])
-    build.target("stale_or_not", "python").unlink()
+    catalogue.target("stale_or_not", "python").unlink()
     assert built() == (first, ["building stale_or_not"])
 
 
-def test_a_change_in_the_shared_physics_makes_every_shipped_model_stale(own_folder, monkeypatch):
+def test_a_change_in_the_shared_physics_makes_every_shipped_model_stale(own_folder, monkeypatch, request):
     folder = own_folder / "clone"
-    shutil.copytree(build.models_folder(), folder / "fmus", ignore=shutil.ignore_patterns("build", "__pycache__"))
-    monkeypatch.setattr(build, "PACKAGE", folder / "orchestrator")
-    for cached in (build.shipped, build._tools):
-        monkeypatch.setattr(build, cached.__name__, cached.__wrapped__)
+    shutil.copytree(catalogue.models_folder(), folder / "fmus", ignore=shutil.ignore_patterns("build", "__pycache__"))
+    monkeypatch.setattr(catalogue, "PACKAGE", folder / "orchestrator")
+    for cached in (catalogue.shipped, stamps.tools):
+        cached.cache_clear()
+        request.addfinalizer(cached.cache_clear)
     told = []
     build.build(FMUS, told.append, packaging="python")
     physics = folder / "fmus" / "uuv" / "dynamics.py"
@@ -544,7 +545,7 @@ def test_the_models_of_the_contract_are_shipped():
 
 @every_fmu
 def test_it_has_the_socket_of_its_role(shipped, name):
-    inputs, outputs = SOCKETS[build.shipped()[name].parent.name]
+    inputs, outputs = SOCKETS[catalogue.shipped()[name].parent.name]
     variables = fmpy.read_model_description(shipped[name]).modelVariables
     has = {kind: {v.name: v.unit for v in variables if v.causality == kind} for kind in ("input", "output")}
     # One more input would be an error in every experiment that swaps the model in; one more output does no harm.

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orchestrator.models import build
+from orchestrator.models import catalogue
 
-sys.path.insert(0, str(build.models_folder()))
+sys.path.insert(0, str(catalogue.models_folder()))
 
 from uuv.bluerov2 import BlueROV2Body, BlueROV2Thrusters
 from uuv.dynamics import coriolis, damping, mass, pinv_rows, restoring, rk4
@@ -47,7 +47,7 @@ def defaults(*declarations):
 
 def model_class(name):
     """The class that a shipped model's file defines."""
-    spec = importlib.util.spec_from_file_location(f"shipped_{name}", build.shipped()[name])
+    spec = importlib.util.spec_from_file_location(f"shipped_{name}", catalogue.shipped()[name])
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     (found,) = [

@@ -12,9 +12,9 @@ from conftest import needs_compiler
 from orchestrator.errors import FmuError
 from orchestrator.fmu.fmu import read
 from orchestrator.instances.fmi2 import CallFailed, Instance, Library
-from orchestrator.models import build
+from orchestrator.models import build, catalogue
 
-FMUS = sorted(build.shipped())
+FMUS = sorted(catalogue.shipped())
 WITH_INPUTS = [name for name in FMUS if "reference" not in name and "current" not in name]
 
 pytestmark = needs_compiler

@@ -16,7 +16,7 @@ from conftest import COMPILER, EXPERIMENTS, MODELS, ORCH, needs_compiler
 
 import orchestrator
 from orchestrator.fmu.fmu import platform_folder, read
-from orchestrator.models import build
+from orchestrator.models import build, catalogue
 
 SHIPPED = sorted(EXPERIMENTS.rglob("*.toml"))
 MODEL = "ocean_current"  # the smallest
@@ -28,7 +28,7 @@ every_experiment = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: pat
 @pytest.fixture(scope="session")
 def native(_build_folder):
     """{name: FMU} of all shipped models."""
-    return build.build(build.shipped(), packaging="native")
+    return build.build(catalogue.shipped(), packaging="native")
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pytest
 from conftest import COMPILER, needs_compiler
 from fmpy.build import build_platform_binary
 
-from orchestrator.models import build
+from orchestrator.models import build, catalogue
 
-FMUS = sorted(build.shipped())
+FMUS = sorted(catalogue.shipped())
 FAST = "bluerov2_thesis"  # has parameters, calculated ones, inputs, states and outputs
 
 pytestmark = needs_compiler

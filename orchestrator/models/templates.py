@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import OrchError
-from .build import shipped
+from .catalogue import shipped
 
 CONTROLLER = '''"""{name}: say here what your controller does; the first paragraph becomes the FMU's description."""
 

@@ -22,7 +22,7 @@ from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
 from ..instances import live
 from ..mavlink import settings as mavlink
-from ..models import build
+from ..models import build, catalogue
 from .conversion import between
 from .plan import Component, Connection, Plan
 
@@ -84,7 +84,7 @@ class _Resolver:
             try:
                 if component.fmu in self.unbuilt:
                     raise FmuError(self.unbuilt[component.fmu])
-                path = build.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
+                path = catalogue.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
                 fmu = files.get((path, "")) or self.read(path)
                 files[path, ""] = fmu
                 structure = {
@@ -311,7 +311,7 @@ def matches(name: str, pattern: str) -> bool:
 
 def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None, packaging: str = "auto") -> Plan:
     """Build what is stale, then resolve.  told: called with what is being built; packaging: as in `build.build`."""
-    known = build.known()
+    known = catalogue.known()
     named = {c.fmu for c in experiment.components if c.fmu in known}
     try:
         built, unbuilt = build.build(sorted(named), told, packaging=packaging), {}

@@ -15,7 +15,7 @@ from ..experiment import toml
 from ..experiment.experiment import Experiment, parse
 from ..fmu.fmu import Fmu, read
 from ..fmu.variables import Variable
-from ..models import build
+from ..models import catalogue
 from . import flatten, structure
 from .archive import Archive, Unreadable
 from .parameters import Value, for_variable
@@ -40,7 +40,7 @@ def load(path: Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, st
 
     Raises ExperimentError where it cannot be read at all; every other problem is in `.problems`.
     """
-    folder = build.build_folder() / "ssp"
+    folder = catalogue.build_folder() / "ssp"
     imported = _read(path, lambda source, digest: folder / digest[:16], str)
     text = f"# {path.name}\n{toml.write(imported.table)}"
     experiment = parse(path, text, set, swap)

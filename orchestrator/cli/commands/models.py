@@ -34,11 +34,12 @@ def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...
     orch build bluerov2_thesis --target x86_64-windows --target x86_64-linux
     """
     from ...models import build as builder
+    from ...models import catalogue
     from ..text import show
 
     if targets and packaging == "python":
         raise click.UsageError("--target makes native FMUs; Python FMUs run on 64-bit x86 Linux and Windows anyway")
-    wanted = names or builder.shipped()
+    wanted = names or catalogue.shipped()
     if targets:
         built = builder.cross_build(wanted, targets, tell)
     else:
@@ -54,15 +55,16 @@ def fmus(name: str | None, as_json: bool) -> None:
     """List FMUs, or show one: variables, units, defaults, capabilities."""
     from ...fmu.fmu import read
     from ...models import build as builder
+    from ...models import catalogue
     from ..text import show
 
     if name is not None:
         built = {} if name.endswith(".fmu") else builder.build([name])
-        fmu = read(builder.locate(name, Path.cwd(), built))
+        fmu = read(catalogue.locate(name, Path.cwd(), built))
         click.echo(json.dumps(show.fmu_as_json(fmu)) if as_json else show.fmu(fmu))
         return
     try:
-        built = builder.build(builder.known())
+        built = builder.build(catalogue.known())
     except builder.BuildError as error:
         click.echo(str(error), err=True)
         built = error.built

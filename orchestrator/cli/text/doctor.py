@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ...fmu.fmu import platform_folder
 from ...models import compiler as compilers
-from ...models.build import build_folder
+from ...models.catalogue import build_folder
 from ...simulation.loop import extension
 
 NEEDED = ("numpy", "h5py", "fmpy", "pythonfmu", "casadi", "matplotlib", "pandas", "click")

@@ -39,7 +39,7 @@ def prepare(
     what was laid over it then.  swap: components that begin anew.  packaging: of those; the others keep theirs.
     Raises StoreError where the checkpoint cannot be read, ExperimentError where the two do not fit.
     """
-    from ...models import build
+    from ...models import build, catalogue
     from ...plan.resolve import resolve
 
     checkpoint = open_checkpoint(start)
@@ -51,7 +51,7 @@ def prepare(
         loaded = experiments.parse(
             Path(about["experiment"]), about["experiment_toml"], {**kept, **set}, {**about["changes"]["swap"], **swap}
         )
-    known = build.known()
+    known = catalogue.known()
     packagings = {c.fmu: packaging for c in loaded.components if c.fmu in known}
     for c in loaded.components:
         if c.fmu in known and c.name not in swap and c.name in checkpoint.components:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import OrchError, StoreError
-from ...models import build
+from ...models import catalogue
 from ...records.file.run import Run
 from .. import processes
 from .cases import signals as thesis_signals
@@ -196,7 +196,7 @@ def _stamp(*parts: str) -> str:
     """What a figure is made from: records and code."""
     digest = hashlib.sha256("\n".join([*parts, importlib.metadata.version("matplotlib")]).encode())
     for module in DRAWING:
-        digest.update((build.PACKAGE / f"{module}.py").read_bytes())
+        digest.update((catalogue.PACKAGE / f"{module}.py").read_bytes())
     return digest.hexdigest()
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from ....errors import ExperimentError, Problem
 from ....experiment.experiment import Experiment, load, parse, split_key
 from ....metrics import smaller_is_better, unit_of
-from ....models import build
+from ....models import build, catalogue
 from ....plan import resolve
 from ....plan.plan import Plan
 from ....records.compare.side_by_side import Column
@@ -189,7 +189,7 @@ def _plans(experiment: Experiment, design: Design, packaging: str, told: Callabl
         sets, swaps = changes(run.values)
         given = experiment.changes
         laid.append(parse(experiment.path, experiment.text, {**given["set"], **sets}, {**given["swap"], **swaps}))
-    known = build.known()
+    known = catalogue.known()
     named = sorted({c.fmu for e in laid for c in e.components if c.fmu in known})
     try:
         built, unbuilt = build.build(named, told, packaging=packaging), {}

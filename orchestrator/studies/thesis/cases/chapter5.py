@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ....experiment.experiment import load
-from ....models.build import experiments_folder
+from ....models.catalogue import experiments_folder
 from ....plan.plan import Plan
 from ....plan.resolve import prepare
 

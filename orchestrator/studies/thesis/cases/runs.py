@@ -11,7 +11,7 @@ from pathlib import Path
 from .... import metrics
 from ....errors import OrchError, RunError, StoreError
 from ....experiment.experiment import load
-from ....models import build
+from ....models import build, catalogue
 from ....plan.plan import Plan
 from ....records.file.run import Run
 from ....records.store.folder import Store
@@ -52,7 +52,7 @@ def run_cases(cases: Sequence[Case], results: str | Path, tell: Tell) -> list[Re
 def _models() -> list[str]:
     """The shipped FMUs that the cases use."""
     models = {component.fmu for case in CASES.values() for component in load(case.path).components}
-    return sorted(name for name in models if name in build.known())
+    return sorted(name for name in models if name in catalogue.known())
 
 
 def _job(case: Case, plan: Plan, results: str | Path) -> processes.Job:
