@@ -233,13 +233,14 @@ def _profile(file: Path, packaging: str) -> None:
     """Print what loading spends its time on: functions by their own time, then by the time within them."""
     from orchestrator.experiment import experiment
     from orchestrator.plan import resolve
+    from orchestrator.simulation.initialization import initialize
     from orchestrator.simulation.system import System
 
     profile = cProfile.Profile()
     with profile:
         plan = resolve.prepare(experiment.load(file), packaging=packaging)
         with System.open(plan) as system:
-            system.initialize()
+            initialize(system)
     statistics_of = pstats.Stats(profile).strip_dirs()
     for order in ("tottime", "cumulative"):
         statistics_of.sort_stats(order).print_stats(25)

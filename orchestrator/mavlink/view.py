@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import OrchError, did_you_mean
 from ..fmu.variables import Variable, split_axis
 from ..plan.plan import Component, Plan
+from ..simulation.initialization import initialize
 from ..simulation.system import System
 from .protocol.links import Endpoint
 from .settings import AXES, BODY, Settings, settings_of
@@ -145,7 +146,7 @@ def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[Frame | No
         plan, components=(component,), connections=(), recorded=tuple((component.name, v) for v in read), watched=()
     )
     with System.open(alone) as system:
-        system.initialize()  # a matrix that is calculated is known only then
+        initialize(system)  # a matrix that is calculated is known only then
         table = system.tables["real"].copy()
         places = {v.name: system.places[component.name, v.name] for v in read}
     rows, columns = np.array([[int(i) for i in axis.split(",")] for axis in matrix]).max(axis=0)

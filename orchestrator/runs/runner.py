@@ -7,6 +7,7 @@ import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import Recorder
 from ..records.file.run import Run
 from ..records.store.folder import Store
+from ..simulation.initialization import initialize
 from ..simulation.master import Observer, Outcome, interruptible
 from ..simulation.master import run as run_master
 from ..simulation.system import Context, System
@@ -111,7 +113,8 @@ def execute(
             return _recall(run_id, final, plan)
         recorder = Recorder(path, plan, run_id)
         try:
-            outcome = run_master(system, [recorder, *observers, saver], interrupt)
+            begin = partial(resume.resume, plan.origin) if plan.origin else initialize
+            outcome = run_master(system, [recorder, *observers, saver], interrupt, begin)
             outcome.warnings += saver.warnings()
             recorder.flush()
             wall_time, factor = recorder.finish(outcome)

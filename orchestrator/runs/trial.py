@@ -97,7 +97,7 @@ def _ending(code: int) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """The child."""
-    from ..simulation.initialization import AlgebraicLoop
+    from ..simulation.initialization import AlgebraicLoop, initialize
     from ..simulation.stepper import ComponentFailed
     from ..simulation.system import System
 
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str]) -> None:
             tell("load")
             with System.open(plan) as system:
                 tell("initialize")
-                system.initialize()
+                initialize(system)
                 tell("free")
             tell(DONE)
         except ComponentFailed as error:

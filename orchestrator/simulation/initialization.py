@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
 from .stepper import Input, Stepper, failing
-
-if TYPE_CHECKING:
-    from .system import System
+from .system import System
 
 SWEEPS = 100
 TOLERANCE = 1e-10  # of a value, or of 1 where it is smaller
@@ -32,11 +30,38 @@ class AlgebraicLoop(Exception):
     """The initial values do not settle."""
 
 
-def settle(system: System) -> list[str]:
-    """Exchange values until they agree; returns what there is to say.
+def initialize(system: System) -> list[str]:
+    """Initialization mode: parameters, start values, and outputs that agree with the inputs.
 
-    Raises MemberFailed, or AlgebraicLoop where neither sweeps nor Newton's method find values that agree.
+    Returns warnings.  Raises ComponentFailed, or AlgebraicLoop where neither sweeps nor Newton's method find values
+    that agree.
     """
+    for stepper in system.steppers:
+        set_up(system, stepper)
+    warnings = _settle(system)
+    for stepper in system.steppers:
+        with failing(stepper):
+            stepper.instance.begin()
+    for stepper in system.steppers:
+        read(stepper)
+        stepper.check_finite()
+    return warnings
+
+
+def set_up(system: System, stepper: Stepper, start_time: float = 0.0) -> None:
+    """Enter initialization mode at `start_time` [s] with the component's parameters and start values.
+
+    Raises ComponentFailed.
+    """
+    plan, component = system.plan, stepper.component
+    fits = plan.steps % component.period == 0  # else its last step ends beyond the stop time
+    stop_time = plan.experiment.master.stop_time if fits else None
+    with failing(stepper):
+        stepper.instance.setup(start_time, stop_time, {**component.parameters, **component.start})
+
+
+def _settle(system: System) -> list[str]:
+    """Exchange values until they agree; returns warnings.  Raises like `initialize`."""
     loops = cycles(system.plan, initial=True)
     first = [input.buffer.copy() for stepper in system.steppers for input in stepper.inputs]
     steppers = {stepper.component.name: stepper for stepper in system.steppers}
@@ -60,23 +85,21 @@ def settle(system: System) -> list[str]:
 def exchange(stepper: Stepper, held: Sequence[tuple[Any, int, float]] = ()) -> None:
     """Give a component its inputs and take its outputs.  held: (buffer, place, value) in place of what is connected.
 
-    Raises MemberFailed.
+    Raises ComponentFailed.
     """
     for gather in stepper.gathers:
         gather()
     for buffer, place, value in held:
         buffer[place] = value
-    with failing(stepper):
-        for set_ in stepper.sets:
-            stepper.instance.check(set_())
+    for set_ in stepper.sets:
+        stepper.check(set_())
     read(stepper)
 
 
 def read(stepper: Stepper) -> None:
-    """Take a component's outputs.  Raises MemberFailed."""
-    with failing(stepper):
-        for get in stepper.gets:
-            stepper.instance.check(get())
+    """Take a component's outputs.  Raises ComponentFailed."""
+    for get in stepper.gets:
+        stepper.check(get())
     for publish in itertools.chain(*stepper.publish):
         publish()
 

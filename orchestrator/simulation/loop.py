@@ -19,7 +19,7 @@ import numpy as np
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
 from ..instances.fmi2 import references_of
 from .chatter import Alternations
-from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, ComponentFailed, Conversion, Stepper, failing
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Stepper
 from .system import System
 from .timing import EVERY, Timing
 
@@ -56,13 +56,13 @@ class Loop(Protocol):
     def advance(self, last: int, patience: float) -> None:
         """Step until tick `last`, for about `patience` seconds, or until interrupted.
 
-        Raises MemberFailed; `ticks` then names the start of the failed step.
+        Raises ComponentFailed; `ticks` then names the start of the failed step.
         """
 
     def complete(self, first: int) -> None:
         """Finish a tick in which the member number `first` has stepped, and nothing was done with that.
 
-        Raises MemberFailed.
+        Raises ComponentFailed.
         """
 
     def take(self) -> list[Block]:
@@ -106,10 +106,10 @@ class _Completing:
                 sets, _ = _calls(stepper)
                 calls: list[Action] = [*sets, partial(stepper.step, ctypes.c_double(grid.time(k)))]
                 for call in calls:
-                    _check(stepper, call())
+                    stepper.check(call())
             for get in stepper.gets:  # of a batched one, too: its step has ended before it came to them
-                _check(stepper, get())
-            _check_finite(stepper)
+                stepper.check(get())
+            stepper.check_finite()
             for publish in stepper.publish[AT_ONCE]:
                 publish()
         for stepper in self._system.steppers:
@@ -158,19 +158,19 @@ class InterpretedLoop(_Completing):
                     gather()
                 for set_ in sets:
                     if (status := set_()) != 0:
-                        _check(stepper, status)
+                        stepper.check(status)
                 if marks:
                     marks.append(clock())
                 if (status := stepper.step(t)) != 0:
-                    _check(stepper, status)
+                    stepper.check(status)
                 if marks:
                     marks.append(clock())
                 for get in gets:
                     if (status := get()) != 0:
-                        _check(stepper, status)
+                        stepper.check(status)
                 for sum_of_squares in sums_of_squares:
                     if not math.isfinite(sum_of_squares()):
-                        _check_finite(stepper)
+                        stepper.check_finite()
                 for publish in stepper.publish[AT_ONCE]:
                     publish()
                 if marks:
@@ -185,7 +185,7 @@ class InterpretedLoop(_Completing):
             for values in checked:
                 if not math.isfinite(values.dot(values)):
                     for stepper in self._system.steppers:
-                        _check_finite(stepper)
+                        stepper.check_finite()
             self.ticks = k + 1
             self._alternations.look(self.ticks)
             if self.ticks % stride == 0:
@@ -227,8 +227,8 @@ class CompiledLoop(_Completing):
         if failed >= 0:
             stepper = self._system.steppers[failed]
             if status == NOT_FINITE:
-                raise ComponentFailed(stepper, stepper.not_finite())
-            _check(stepper, status)
+                stepper.check_finite()
+            stepper.check(status)
 
 
 def _program(stepper: Stepper) -> tuple[Any, ...]:
@@ -309,13 +309,3 @@ def _sums_of_squares(stepper: Stepper, system: System) -> list[Callable[[], Any]
     tables = [system.tables[kind] for kind in FLOATS]
     buffers = [buffer for _, buffer in stepper.floats]
     return [partial(b.dot, b) for b in buffers if not any(np.shares_memory(b, table) for table in tables)]
-
-
-def _check(stepper: Stepper, status: int) -> None:
-    with failing(stepper):
-        stepper.instance.check(status)
-
-
-def _check_finite(stepper: Stepper) -> None:
-    if words := stepper.not_finite():
-        raise ComponentFailed(stepper, words)

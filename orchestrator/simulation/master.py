@@ -17,16 +17,15 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from ..instances.fmi2 import DISCARD
 from ..instances.live import Live
-from ..runs.checkpoint.resume import resume
 from .chatter import Alternations
-from .initialization import AlgebraicLoop
+from .initialization import AlgebraicLoop, initialize
 from .loop import Block, Interrupt, Loop, choose
 from .stepper import ComponentFailed
 from .system import System
@@ -79,12 +78,20 @@ class Watcher:
         return {}
 
 
-def run(system: System, observers: Sequence[Observer], interrupt: Interrupt | None = None) -> Outcome:
-    """Run the opened system to its end, to a failure, or until `interrupt` is set."""
+def run(
+    system: System,
+    observers: Sequence[Observer],
+    interrupt: Interrupt | None = None,
+    begin: Callable[[System], list[str]] = initialize,
+) -> Outcome:
+    """Run the opened system to its end, to a failure, or until `interrupt` is set.
+
+    begin: brings the system to the values of its first row and returns warnings; it may raise what `initialize` does.
+    """
     outcome, interrupt = Outcome("completed", system.plan.first), interrupt or Interrupt()
     try:
         outcome.warnings += system.plan.warnings
-        outcome.warnings += resume(system) if system.plan.origin else system.initialize()
+        outcome.warnings += begin(system)
         outcome.calculated = system.calculated()
         for observer in observers:
             if isinstance(observer, Watcher):

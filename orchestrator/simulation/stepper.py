@@ -125,6 +125,16 @@ class Stepper:
                     return f"{variable.causality} {variable.name} is not finite: {value}"
         return ""
 
+    def check_finite(self) -> None:
+        """Raises ComponentFailed where an output is not finite."""
+        if message := self.not_finite():
+            raise ComponentFailed(self, message)
+
+    def check(self, status: int) -> None:
+        """Raises ComponentFailed unless a status of FMI is OK or a warning."""
+        with failing(self):
+            self.instance.check(status)
+
     def last_inputs(self) -> dict[str, Any]:
         """{input: value} of what it was given last."""
         found: dict[str, Any] = {}
@@ -153,7 +163,7 @@ class ComponentFailed(Exception):
 
 @contextlib.contextmanager
 def failing(stepper: Stepper) -> Iterator[None]:
-    """Turn a failed FMI call into MemberFailed."""
+    """Turn a failed FMI call into ComponentFailed."""
     try:
         yield
     except CallFailed as error:

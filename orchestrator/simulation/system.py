@@ -23,8 +23,7 @@ from ..instances.isolated import Remote
 from ..instances.live import Live
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
-from .initialization import read, settle
-from .stepper import AT_ONCE, PERIOD_END, TICK_END, ComponentFailed, Conversion, Input, Publication, Stepper, failing
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Publication, Stepper, failing
 
 Context = Mapping[str, Mapping[str, Any]]
 
@@ -89,31 +88,10 @@ class System:
         sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
         self._folder.close()
 
-    def initialize(self) -> list[str]:
-        """Initialization mode: parameters, start values, and outputs that agree with the inputs.
-
-        Returns what there is to say.  Raises MemberFailed, or AlgebraicLoop.
-        """
-        stop_time = self.plan.experiment.master.stop_time
-        for stepper in self.steppers:
-            component = stepper.component
-            fits = self.plan.steps % component.period == 0  # else its last step ends beyond the stop time
-            with failing(stepper):
-                stepper.instance.setup(0.0, stop_time if fits else None, {**component.parameters, **component.start})
-        notes = settle(self)
-        for stepper in self.steppers:
-            with failing(stepper):
-                stepper.instance.begin()
-        for stepper in self.steppers:
-            read(stepper)
-            if stepper.not_finite():
-                raise ComponentFailed(stepper, stepper.not_finite())
-        return notes
-
     def calculated(self) -> dict[str, dict[str, Any]]:
         """{component: {parameter: value}} of the parameters that FMUs calculate themselves, once initialized.
 
-        Raises MemberFailed.
+        Raises ComponentFailed.
         """
         found: dict[str, dict[str, Any]] = {}
         for stepper in self.steppers:

@@ -88,7 +88,7 @@ def path_of(record: Path, time: float) -> Path:
 def save(system: System, tick: int, run_id: str, path: Path) -> None:
     """Write the checkpoint of a running system.
 
-    Raises MemberFailed where a component does not give its state, StoreError where the file cannot be written.
+    Raises ComponentFailed where a component does not give its state, StoreError where the file cannot be written.
     """
     from ...records.file.provenance import versions
 

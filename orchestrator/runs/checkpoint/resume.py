@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import ExperimentError, FmuError, Problem
 from ...experiment import experiment as experiments
 from ...instances.fmi2 import CallFailed
-from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read
+from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read, set_up
 from ...simulation.stepper import ComponentFailed, Stepper, failing
 from .file import Checkpoint, open_checkpoint, value_of
 
@@ -175,44 +175,33 @@ def _shown(value: Any) -> str:
     return "the FMU's own" if value is None else str(value)
 
 
-def resume(system: System) -> list[str]:
-    """Initialize an opened system from the checkpoint of its plan, in place of `System.initialize`.
+def resume(checkpoint: Checkpoint, system: System) -> list[str]:
+    """Initialize an opened system from a checkpoint, in place of `initialization.initialize`.
 
     Components go on from their saved states; fresh ones are initialized at the time of the checkpoint with the values
-    of the others.  Returns what there is to say.  Raises MemberFailed, or AlgebraicLoop.
+    of the others.  Returns warnings: none.  Raises ComponentFailed, or AlgebraicLoop.
     """
-    checkpoint = system.plan.origin
-    assert checkpoint is not None
     fresh = [stepper for stepper in system.steppers if stepper.component.name in checkpoint.fresh]
     for stepper in system.steppers:
         if stepper.component.name not in checkpoint.fresh:
             _go_on(system, stepper, checkpoint)
     for stepper in fresh:
-        with failing(stepper):
-            stepper.instance.setup(checkpoint.time, *_initial(system, stepper))
+        set_up(system, stepper, checkpoint.time)
     _settle(system, fresh)
     for stepper in fresh:
         with failing(stepper):
             stepper.instance.begin()
         read(stepper)
     for stepper in system.steppers:
-        if words := stepper.not_finite():
-            raise ComponentFailed(stepper, words)
+        stepper.check_finite()
     return []
-
-
-def _initial(system: System, stepper: Stepper) -> tuple[float | None, dict[str, Any]]:
-    """Stop time [s], where its last step ends there, and values to begin with."""
-    plan, component = system.plan, stepper.component
-    stop_time = plan.experiment.master.stop_time if plan.steps % component.period == 0 else None
-    return stop_time, {**component.parameters, **component.start}
 
 
 def _go_on(system: System, stepper: Stepper, checkpoint: Checkpoint) -> None:
     """Initialize a component as it began, with its last inputs, then put its state and its values back."""
     was = checkpoint.components[stepper.component.name]
+    set_up(system, stepper)
     with failing(stepper):
-        stepper.instance.setup(0.0, *_initial(system, stepper))
         _put_back(stepper.inputs, was["given"])
         for set_ in stepper.sets:
             stepper.instance.check(set_())
