@@ -17,19 +17,19 @@ import tempfile
 from pathlib import Path
 
 import orchestrator
-from orchestrator.studies.sweep.design import study
-from orchestrator.studies.sweep.design.study import Study
+from orchestrator.studies.sweep.design import prepared
+from orchestrator.studies.sweep.design.prepared import PreparedSweep
 from orchestrator.studies.sweep.engine import scheduler, worker
 from orchestrator.studies.sweep.engine.storage import Storage
 from orchestrator.studies.sweep.engine.table import TABLE
-from orchestrator.studies.sweep.engine.worker import Line
+from orchestrator.studies.sweep.engine.worker import PointResult
 
 EXPERIMENT = Path(__file__).parent.parent / "experiments" / "sweep_currents.toml"
 CONTROLLERS = ["pid", "nstsmc", "ftsosmc"]
 
 
-def prepare(draws: int, keep: str) -> Study:
-    return study.prepare(
+def prepare(draws: int, keep: str) -> PreparedSweep:
+    return prepared.prepare(
         EXPERIMENT,
         {
             "master.step": 1e-3,
@@ -40,31 +40,31 @@ def prepare(draws: int, keep: str) -> Study:
     )
 
 
-def swept(made: Study, workers: int) -> tuple[float, bytes]:
+def swept(sweep: PreparedSweep, workers: int) -> tuple[float, bytes]:
     """Seconds, and the table."""
     with tempfile.TemporaryDirectory() as folder:
-        ended = scheduler.sweep(made, folder, workers=workers)
-        return ended.wall_time, ended.storage.read(TABLE)
+        result = scheduler.sweep(sweep, folder, workers=workers)
+        return result.wall_time, result.storage.read(TABLE)
 
 
-def here(made: Study, folder: str, first: int, last: int) -> list[Line]:
+def here(sweep: PreparedSweep, folder: str, first: int, last: int) -> list[PointResult]:
     """Runs of a sweep in this process, as a worker runs them."""
-    job = made.job(folder, {"git_commit": "", "command": "[]"})
+    job = sweep.job(folder, {"git_commit": "", "command": "[]"})
     storage = Storage(job.folder)
-    scheduler.lay_out(made, storage)
-    return worker.batch("", job, made.design.runs()[first:last], True)
+    scheduler.lay_out(sweep, storage)
+    return worker.batch("", job, sweep.points[first:last], True)
 
 
 def beyond_stepping(keep: str, runs: int) -> float:
     """Seconds of a run, the median, in which it does not step."""
-    made = prepare(runs // len(CONTROLLERS) + 1, keep)
+    sweep = prepare(runs // len(CONTROLLERS) + 1, keep)
     with tempfile.TemporaryDirectory() as folder:
-        here(made, folder, 0, len(CONTROLLERS))  # loads the FMUs
-        lines = here(made, folder, len(CONTROLLERS), runs)
+        here(sweep, folder, 0, len(CONTROLLERS))  # loads the FMUs
+        results = here(sweep, folder, len(CONTROLLERS), runs)
         costs = []
-        for line in lines:
-            with orchestrator.open_run(Path(folder) / made.folder / f"{line.run_id}.h5") as run:
-                costs.append(line.seconds - run.attributes["timing"]["stepping"])
+        for result in results:
+            with orchestrator.open_run(Path(folder) / sweep.folder / f"{result.run_id}.h5") as run:
+                costs.append(result.seconds - run.attributes["timing"]["stepping"])
     return statistics.median(costs)
 
 
@@ -80,23 +80,23 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=2000, help="that memory is measured over; default: 2000")
     given = parser.parse_args()
 
-    made = prepare(given.draws, "metrics")
-    pairs = [(swept(made, 1), swept(made, 2)) for _ in range(given.repeats)]
+    sweep = prepare(given.draws, "metrics")
+    pairs = [(swept(sweep, 1), swept(sweep, 2)) for _ in range(given.repeats)]
     one, two = (statistics.median(pair[i][0] for pair in pairs) for i in (0, 1))
     same = len({table for pair in pairs for _, table in pair}) == 1
     print(
-        f"{len(made.design.runs())} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
+        f"{len(sweep.points)} runs: {one:.1f} s with one worker, {two:.1f} s with two: {one / two:.2f}x, "
         f"{'the same table' if same else 'DIFFERENT TABLES'}"
     )
     for keep in ("metrics", "decimated", "full"):
         print(f"a run beyond its stepping, keep = {keep!r}: {1e3 * beyond_stepping(keep, min(60, given.runs)):.1f} ms")
     if Path("/proc/self/statm").exists():
-        made = prepare(given.runs // len(CONTROLLERS) + 1, "metrics")
+        sweep = prepare(given.runs // len(CONTROLLERS) + 1, "metrics")
         with tempfile.TemporaryDirectory() as folder:
             few = given.runs // 10
-            here(made, folder, 0, few)
+            here(sweep, folder, 0, few)
             before = resident()
-            here(made, folder, few, given.runs)
+            here(sweep, folder, few, given.runs)
             print(f"memory of a worker: {before:.1f} MB after {few} runs, {resident():.1f} MB after {given.runs}")
 
 

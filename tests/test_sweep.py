@@ -16,7 +16,10 @@ import pytest
 from conftest import DEADLINE, ORCH
 from scipy import stats
 
-from orchestrator.studies.sweep.design.matrix import read
+import orchestrator
+from orchestrator.errors import ExperimentError
+from orchestrator.experiment.sweep import read
+from orchestrator.studies.sweep.design.matrix import points
 
 FMU = "components.controller.fmu"
 FAST = "components.current.parameters.velocity"
@@ -34,9 +37,9 @@ def sweep(spiral):
 
 
 def design_of(**changes):
-    design, problems = read({"draws": 16, "vary": {MASS: UNIFORM, FAST: DIRECTION}, **changes})
+    spec, problems = read({"draws": 16, "vary": {MASS: UNIFORM, FAST: DIRECTION}, **changes})
     assert problems == []
-    return [dict(run.values) for run in design.runs()]
+    return [dict(point.values) for point in points(spec)]
 
 
 # --- the design -----------------------------------------------------------------------------------------------------
@@ -136,6 +139,19 @@ def test_all_problems_of_a_sweep_are_told_at_once(orch, sweep, write):
             "no list 'nobody'",
         ):
             assert words in answer.err
+
+
+def test_a_run_checks_the_sweep_of_its_experiment_from_python_too(orch, sweep, write):
+    sweep["sweep"]["draws"] = "many"
+    path = write(sweep)
+    sentence = "sweep.draws: is 'many'; give a whole number, at least 1"
+    for command in ("run", "check", "sweep"):
+        answer = orch(command, path)
+        assert answer.code == 2
+        assert answer.err.count(sentence) == 1
+    with pytest.raises(ExperimentError, match=re.escape(sentence)):
+        orchestrator.run(path)
+    assert not any(Path(path).parent.glob("results*"))
 
 
 def test_a_distribution_that_is_no_name_is_told(orch, sweep, write):
@@ -371,16 +387,16 @@ def test_memory_stays_flat_over_runs(python, sweep, write, tmp_path):
     path = write({**sweep, "sweep": {**sweep["sweep"], "draws": 150}})
     answer = python(f"""
 import os
-from orchestrator.studies.sweep.design import study
+from orchestrator.studies.sweep.design import prepared
 from orchestrator.studies.sweep.engine import scheduler, worker
 from orchestrator.studies.sweep.engine.storage import Storage
 
-made = study.prepare({str(path)!r})
-job = made.job({str(tmp_path / "m")!r}, {{"git_commit": "", "command": "[]"}})
+sweep = prepared.prepare({str(path)!r})
+job = sweep.job({str(tmp_path / "m")!r}, {{"git_commit": "", "command": "[]"}})
 storage = Storage(job.folder)
 os.makedirs(job.folder)
-scheduler.lay_out(made, storage)
-runs = made.design.runs()
+scheduler.lay_out(sweep, storage)
+points = sweep.points
 
 
 def resident():
@@ -391,9 +407,9 @@ def libraries():
     return len({{line.split()[-1] for line in open("/proc/self/maps") if line.rstrip().endswith(".so")}})
 
 
-worker.batch("t", job, runs[:100], False)
+worker.batch("t", job, points[:100], False)
 before = resident(), libraries()
-worker.batch("t", job, runs[100:], False)
+worker.batch("t", job, points[100:], False)
 print(resident() - before[0], libraries() - before[1])
 """)
     grown, libraries = map(float, answer.out.split())
@@ -515,12 +531,12 @@ def test_without_dask_a_sentence_says_what_to_install(python, sweep, write):
     answer = python(f"""
 import sys
 sys.modules["distributed"] = None
-from orchestrator.studies.sweep.design import study
+from orchestrator.studies.sweep.design import prepared
 from orchestrator.studies.sweep.engine import scheduler
 from orchestrator.errors import OrchError
-made = study.prepare({str(path)!r})
+sweep = prepared.prepare({str(path)!r})
 try:
-    scheduler.sweep(made, "results")
+    scheduler.sweep(sweep, "results")
 except OrchError as error:
     print(error)
 """)

@@ -34,7 +34,11 @@ def test_all_problems_of_a_search_are_told_at_once(orch, tuning, write):
     tuning["sweep"]["tune"] |= {"objective": "rmse_y", "trials": 0, "goal": "minimise", "budget": 3}
     bad = {"K_p.x": {"distribution": "normal"}, "K_p.y": SPACE["K_p.x"] | {"low": 0}}
     tuning["sweep"]["tune"]["search"]["pid"] = bad
-    answer = orch("tune", write(tuning))
+    for command in ("tune", "run", "check"):
+        assert_problems(orch(command, write(tuning)))
+
+
+def assert_problems(answer):
     assert answer.code == 2
     for words in (
         "no metric 'rmse_y'; did you mean 'rmse_x'",
@@ -44,7 +48,18 @@ def test_all_problems_of_a_search_are_told_at_once(orch, tuning, write):
         "no distribution 'normal'",
         "a logarithm needs a positive number",
     ):
-        assert words in answer.err
+        assert answer.err.count(words) == 1
+
+
+def test_a_search_needs_neither_draws_nor_lists_of_a_sweep(orch, tuning, write):
+    del tuning["sweep"]["draws"]
+    del tuning["sweep"]["vary"][FMU]
+    tuning["sweep"]["tune"]["component"] = "controller"
+    path = write(tuning)
+    assert orch("check", path).code == 0
+    answer = orch("sweep", path, "--dry-run")
+    assert answer.code == 2
+    assert "sweep.draws: is missing" in answer.err
 
 
 def test_a_parameter_that_the_controller_lacks_is_told(orch, tuning, write):

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExperimentError, Problem, did_you_mean, no_such_file
-from . import bounds
+from . import bounds, sweep, tune
+from .keys import split_key
 from .timegrid import EXACT, Grid
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
@@ -140,14 +141,6 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def split_key(key: str) -> list[str]:
-    """Parts of a dotted TOML key: connections."a.b" has two; none of what is no key."""
-    part = r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)'
-    if not re.fullmatch(rf"\s*(?:{part})\s*(?:\.\s*(?:{part})\s*)*", key):
-        return []
-    return [double or single or bare for double, single, bare in re.findall(part, key)]
-
-
 class _Reader:
     def __init__(self) -> None:
         self.problems: list[Problem] = []
@@ -202,6 +195,11 @@ class _Reader:
         components = self.components(self.table(table, "components"), master, tuple(changes["swap"]))
         if not components:
             self.problem("components", "the experiment has none; add [components.NAME] with an fmu")
+        metrics, swept = self.tables(table, "metrics"), self.table(table, "sweep")
+        if swept:
+            self.problems += sweep.read(swept)[1]
+        if "tune" in swept:
+            self.problems += tune.read(swept, metrics)[1]
         return Experiment(
             path,
             text,
@@ -210,9 +208,9 @@ class _Reader:
             components,
             self.connections(self.table(table, "connections")),
             self.record(self.table(table, "record"), master),
-            self.tables(table, "metrics"),
+            metrics,
             self.table(table, "mavlink"),
-            self.table(table, "sweep"),
+            swept,
             tuple(self.problems),
             notes,
             changes,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -98,11 +97,6 @@ def prepared(
     from ...plan.resolve import prepare
 
     loaded = load(experiment, pairs("--set", sets), swaps_of(swaps))
-    if loaded.sweep:
-        from ...studies.sweep.design import matrix
-
-        found = matrix.read(loaded.sweep)[1]
-        loaded = dataclasses.replace(loaded, problems=(*loaded.problems, *found))
     return prepare(loaded, told, packaging)
 
 

@@ -109,7 +109,7 @@ def sweep(
     results: str,
     as_json: bool,
 ) -> int:
-    """Run an experiment many times, as its [sweep] says; runs that are there are not repeated.
+    """Run an experiment many times, as its [sweep] says; completed runs are not repeated.
 
     \b
     orch sweep experiments/sweep_currents.toml --dry-run
@@ -120,29 +120,29 @@ def sweep(
     The records, the table and the FMUs lie in DIR/EXPERIMENT-SWEEP; DIR may be a folder that the workers share, or an
     fsspec URL.  Exit code 3: a run failed, and the table says which.
     """
-    from ...studies.sweep.design import study
+    from ...studies.sweep.design.prepared import prepare
     from ..text import sweep as listing
 
-    told = silent if as_json else tell
-    made = study.prepare(experiment, pairs("--set", sets), swaps_of(swaps), packaging, told)
-    for note in made.notes:
-        told(f"note: {note}")
+    report = silent if as_json else tell
+    prepared = prepare(experiment, pairs("--set", sets), swaps_of(swaps), packaging, report)
+    for note in prepared.notes:
+        report(f"note: {note}")
     if dry_run:
-        click.echo(json.dumps(listing.design_as_json(made)) if as_json else listing.design(made))
+        click.echo(json.dumps(listing.design_as_json(prepared)) if as_json else listing.design(prepared))
         return 0
     from ...studies.sweep.engine import scheduler as engine
-    from ...studies.sweep.engine.progress import Progress
+    from ...studies.sweep.engine.progress import SweepProgress
 
-    progress = Progress(quiet=as_json)
+    progress = SweepProgress(quiet=as_json)
     try:
-        ended = engine.sweep(made, results, scheduler, workers, fail_fast, progress)
+        result = engine.sweep(prepared, results, scheduler, workers, fail_fast, progress)
     finally:
         progress.done()
-    click.echo(json.dumps(listing.ended_as_json(ended)) if as_json else listing.ended(ended))
-    if ended.interrupted:
-        told("interrupted; the same command runs what is missing")
+    click.echo(json.dumps(listing.swept_as_json(result)) if as_json else listing.swept(result))
+    if result.interrupted:
+        report("interrupted; the same command runs what is missing")
         return INTERRUPTED
-    return 3 if ended.count("failed") else 0
+    return 3 if result.count("failed") else 0
 
 
 @click.command()
@@ -172,14 +172,14 @@ def tune(
     Every controller gets the same number of trials on the same draws.  The study lies in DIR/_tune and goes on where it
     was interrupted, or with more trials; beside it the tuned parameters, as TOML for an experiment or a sweep.
     """
-    from ...studies.sweep.engine.progress import Progress, Trials
+    from ...studies.sweep.engine.progress import SweepProgress, TrialProgress
     from ...studies.sweep.tuning import optimizer as tuning
     from ..text import sweep as listing
 
-    told = silent if as_json else tell
-    trials, progress = Trials(quiet=as_json), Progress(quiet=as_json)
+    report = silent if as_json else tell
+    trials, progress = TrialProgress(quiet=as_json), SweepProgress(quiet=as_json)
     try:
-        outcome = tuning.tune(
+        result = tuning.tune(
             experiment,
             pairs("--set", sets),
             swaps_of(swaps),
@@ -187,15 +187,15 @@ def tune(
             results,
             scheduler,
             workers,
-            told,
+            report,
             trials,
             progress,
         )
     finally:
         trials.done()
         progress.done()
-    click.echo(json.dumps(listing.tuned_as_json(outcome)) if as_json else listing.tuned(outcome))
-    if outcome.final is None or outcome.final.interrupted:
-        told("interrupted; the same command goes on")
+    click.echo(json.dumps(listing.tuned_as_json(result)) if as_json else listing.tuned(result))
+    if result.final is None or result.final.interrupted:
+        report("interrupted; the same command goes on")
         return INTERRUPTED
-    return 3 if outcome.final.count("failed") else 0
+    return 3 if result.final.count("failed") else 0

@@ -1,4 +1,4 @@
-"""What `orch sweep` prints: the design, and how it ended."""
+"""What `orch sweep` prints: the design, and how it result."""
 
 from __future__ import annotations
 
@@ -7,73 +7,72 @@ from pathlib import Path
 from typing import Any
 
 from ...metrics import finite
-from ...studies.sweep.design.matrix import labels
-from ...studies.sweep.design.study import Study
-from ...studies.sweep.engine.scheduler import Ended
+from ...studies.sweep.design.matrix import combinations, labels
+from ...studies.sweep.design.prepared import PreparedSweep
+from ...studies.sweep.engine.scheduler import SweepResult
 from ...studies.sweep.engine.storage import is_local
 from ...studies.sweep.engine.table import TABLE
 from ...studies.sweep.engine.worker import FAILED
-from ...studies.sweep.tuning.optimizer import Outcome
+from ...studies.sweep.tuning.optimizer import TuneResult
 from ...views.tables.terminal import columns_of
 from .show import short
 
 FAILURES = 5  # that are named
 
 
-def design(study: Study) -> str:
+def design(prepared: PreparedSweep) -> str:
     """The table of runs."""
-    runs = study.design.runs()
-    names = labels(study.keys)
-    head = ("run", "draw", *(names[key] for key in study.keys))
-    rows = [(str(run.index), str(run.draw), *(_shown(run.cells[key]) for key in study.keys)) for run in runs]
-    d = study.design
-    many = f"{len(runs)} runs: {d.draws} draws ({d.method}, seed {d.seed}) x {len(d.combinations)} combinations"
-    return "\n".join(
-        [f"sweep {study.sweep_id}: {many if d.distributions else f'{len(runs)} runs'}", *columns_of([head, *rows])]
-    )
+    points, keys, spec = prepared.points, prepared.keys, prepared.spec
+    names = labels(keys)
+    head = ("run", "draw", *(names[key] for key in keys))
+    rows = [(str(point.index), str(point.draw), *(_shown(point.cells[key]) for key in keys)) for point in points]
+    many = f"{len(points)} runs"
+    if spec.distributions:
+        crossed = f"x {len(combinations(spec))} combinations"
+        many += f": {spec.draws} draws ({spec.design}, seed {spec.seed}) {crossed}"
+    return "\n".join([f"sweep {prepared.sweep_id}: {many}", *columns_of([head, *rows])])
 
 
-def design_as_json(study: Study) -> dict[str, Any]:
-    d = study.design
-    runs = [{"run": run.index, "draw": run.draw, "values": dict(run.values)} for run in d.runs()]
+def design_as_json(prepared: PreparedSweep) -> dict[str, Any]:
+    spec = prepared.spec
     return {
-        "sweep_id": study.sweep_id,
-        "draws": d.draws,
-        "design": d.method,
-        "seed": d.seed,
-        "keep": d.keep,
-        "notes": list(study.notes),
-        "runs": runs,
+        "sweep_id": prepared.sweep_id,
+        "draws": spec.draws,
+        "design": spec.design,
+        "seed": spec.seed,
+        "keep": spec.keep,
+        "notes": list(prepared.notes),
+        "runs": [{"run": point.index, "draw": point.draw, "values": dict(point.values)} for point in prepared.points],
     }
 
 
-def ended(ended: Ended) -> str:
-    """How a sweep ended."""
-    facts = _facts(ended)
-    lines = [f"{ended.study.experiment.path.stem} sweep {ended.study.sweep_id}: {facts['status']}"]
+def swept(result: SweepResult) -> str:
+    """How a sweep result."""
+    facts, prepared = _facts(result), result.prepared
+    lines = [f"{prepared.experiment.path.stem} sweep {prepared.sweep_id}: {facts['status']}"]
     counts = f"{facts['completed']} completed, {facts['failed']} failed, {facts['missing']} missing"
-    found = [
+    shown = [
         ("runs", f"{facts['runs']}: {counts}"),
-        ("there before", str(facts["reused"])),
-        ("wall time", f"{ended.wall_time:.1f} s"),
+        ("reused", str(facts["reused"])),
+        ("wall time", f"{result.wall_time:.1f} s"),
         ("table", _place(facts["table"])),
     ]
-    lines += [f"  {name:<13} {value}" for name, value in found]
-    failed = [line for _, line in sorted(ended.lines.items()) if line.status == FAILED]
-    lines += [f"  run {line.index} failed ({line.run_id or 'no record'}): {line.error}" for line in failed[:FAILURES]]
+    lines += [f"  {name:<13} {value}" for name, value in shown]
+    failed = [one for _, one in sorted(result.by_index.items()) if one.status == FAILED]
+    lines += [f"  run {one.index} failed ({one.run_id or 'no record'}): {one.error}" for one in failed[:FAILURES]]
     if len(failed) > FAILURES:
         lines.append(f"  and {len(failed) - FAILURES} more that failed, see the table")
     if not facts["missing"]:
-        lines.append(f"  orch compare --sweep {ended.study.sweep_id}")
+        lines.append(f"  orch compare --sweep {prepared.sweep_id}")
     return "\n".join(lines)
 
 
-def ended_as_json(ended: Ended) -> dict[str, Any]:
-    return {**_facts(ended), "notes": list(ended.study.notes)}
+def swept_as_json(result: SweepResult) -> dict[str, Any]:
+    return {**_facts(result), "notes": list(result.prepared.notes)}
 
 
-def tuned(outcome: Outcome) -> str:
-    """What came of a search."""
+def tuned(result: TuneResult) -> str:
+    """The result of a search."""
     head = ("controller", "trials", "pruned", "defaults", "tuned", "parameters")
     rows = [
         (
@@ -84,23 +83,23 @@ def tuned(outcome: Outcome) -> str:
             f"{one.best:.6g}",
             ", ".join(f"{name} = {_shown(value)}" for name, value in one.parameters.items()),
         )
-        for one in outcome.tuned
+        for one in result.tuned
     ]
-    lines = [f"study {outcome.tune_id}: {short(outcome.folder)}", *columns_of([head, *rows])]
-    if outcome.final is not None:
+    lines = [f"study {result.tune_id}: {short(result.folder)}", *columns_of([head, *rows])]
+    if result.final is not None:
         lines += [
-            f"fragments: {short(outcome.folder / 'tuned.toml')}, and one a controller beside it",
+            f"fragments: {short(result.folder / 'tuned.toml')}, and one a controller beside it",
             "",
             "on held-out draws:",
-            ended(outcome.final),
+            swept(result.final),
         ]
     return "\n".join(lines)
 
 
-def tuned_as_json(outcome: Outcome) -> dict[str, Any]:
+def tuned_as_json(result: TuneResult) -> dict[str, Any]:
     return {
-        "tune_id": outcome.tune_id,
-        "folder": str(outcome.folder),
+        "tune_id": result.tune_id,
+        "folder": str(result.folder),
         "controllers": [
             {
                 "fmu": one.fmu,
@@ -109,25 +108,25 @@ def tuned_as_json(outcome: Outcome) -> dict[str, Any]:
                 "parameters": dict(one.parameters),
                 **finite({"default": one.default, "best": one.best}),
             }
-            for one in outcome.tuned
+            for one in result.tuned
         ],
-        "final": ended_as_json(outcome.final) if outcome.final is not None else None,
+        "final": swept_as_json(result.final) if result.final is not None else None,
     }
 
 
-def _facts(ended: Ended) -> Mapping[str, Any]:
-    status = "interrupted" if ended.interrupted else "stopped" if ended.stopped else "completed"
+def _facts(result: SweepResult) -> Mapping[str, Any]:
+    status = "interrupted" if result.interrupted else "stopped" if result.stopped else "completed"
     return {
-        "sweep_id": ended.study.sweep_id,
-        "folder": ended.storage.address,
-        "table": f"{ended.storage.address}/{TABLE}",
+        "sweep_id": result.prepared.sweep_id,
+        "folder": result.storage.address,
+        "table": f"{result.storage.address}/{TABLE}",
         "status": status,
-        "runs": len(ended.runs),
-        "completed": ended.count("completed"),
-        "failed": ended.count(FAILED),
-        "missing": ended.missing,
-        "reused": ended.reused,
-        "wall_time": ended.wall_time,
+        "runs": len(result.prepared.points),
+        "completed": result.count("completed"),
+        "failed": result.count(FAILED),
+        "missing": result.missing,
+        "reused": result.reused,
+        "wall_time": result.wall_time,
     }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...errors import ExperimentError, FmuError, Problem
 from ...experiment import experiment as experiments
+from ...experiment.keys import split_key
 from ...instances.fmi2 import CallFailed
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read, set_up
 from ...simulation.stepper import ComponentFailed, Stepper, failing
@@ -69,8 +70,8 @@ def prepare(
 
 def _component_of(key: str) -> str:
     """The component that a dotted key is about, or ""."""
-    components = experiments.split_key(key)
-    return components[1] if len(components) > 1 and components[0] == "components" else ""
+    parts = split_key(key)
+    return parts[1] if len(parts) > 1 and parts[0] == "components" else ""
 
 
 def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:

@@ -8,7 +8,7 @@ from typing import TextIO
 WIDTH = 24  # of the bar, characters
 
 
-class Progress:
+class SweepProgress:
     """Shows runs done, rate and time left; nothing unless `stream` is a terminal."""
 
     def __init__(self, quiet: bool = False, stream: TextIO = sys.stderr):
@@ -34,7 +34,7 @@ class Progress:
             self._stream.flush()
 
 
-class Trials:
+class TrialProgress:
     """Shows the trials of each controller and the best objective so far."""
 
     def __init__(self, quiet: bool = False, stream: TextIO = sys.stderr):

@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,139 +21,141 @@ from ....errors import OrchError, StoreError
 from ....records.file.provenance import git_commit
 from ....simulation.loop import Interrupt
 from ....simulation.master import interruptible
-from ..design.matrix import Run
-from ..design.study import Job, Study
+from ..design.matrix import DesignPoint
+from ..design.prepared import PreparedSweep, SweepJob
 from . import cluster, fmu_cache, table, worker
 from .storage import PART, Storage
-from .worker import FAILED, Line
+from .worker import FAILED, PointResult
 
 BATCH_SECONDS = 1.0  # of wall time that a batch lasts
 AHEAD = 2  # batches a worker has: one that runs, one that waits
 LOCK = ".lock"
 
-Told = Callable[[int, int, int, float], None]  # runs that ended, of how many, failed ones, wall time [s]
+RunsEnded = Callable[[int, int, int, float], None]  # runs that ended, of how many, failed ones, wall time [s]
 
 
 @dataclass
-class Ended:
-    """How a sweep ended.  lines: {index: how the run ended}; wall_time [s]: from the first run to the last record."""
+class SweepResult:
+    """How a sweep ended.  by_index: of each run that ended; wall_time [s]: from the first run to the last record."""
 
-    study: Study
-    runs: Sequence[Run]
+    prepared: PreparedSweep
     storage: Storage
-    lines: dict[int, Line] = field(default_factory=dict)
+    by_index: dict[int, PointResult] = field(default_factory=dict)
     wall_time: float = 0.0
     interrupted: bool = False
     stopped: bool = False  # by the first failure
 
     def count(self, status: str) -> int:
-        return sum(line.status == status for line in self.lines.values())
+        return sum(result.status == status for result in self.by_index.values())
 
     @property
     def reused(self) -> int:
-        return sum(not line.fresh for line in self.lines.values())
+        return sum(not result.fresh for result in self.by_index.values())
 
     @property
     def missing(self) -> int:
-        return len(self.runs) - len(self.lines)
+        return len(self.prepared.points) - len(self.by_index)
 
 
 def sweep(
-    study: Study,
+    prepared: PreparedSweep,
     results: str = "results",
     scheduler: str | None = None,
     workers: int | None = None,
     fail_fast: bool = False,
-    told: Told = lambda *_: None,
-) -> Ended:
+    runs_ended: RunsEnded = lambda *_: None,
+) -> SweepResult:
     """Run what is missing of a sweep, and write its table.
 
-    told: called whenever runs have ended.  Ctrl-C ends it in order: what was running is lost, the rest is there.
-    Raises OrchError where it cannot start: another process runs this sweep, no Dask, nobody at `scheduler`.
+    runs_ended: called whenever runs have ended.  Ctrl-C ends it in order: runs that had not ended are lost, the others
+    are kept.  Raises OrchError where it cannot start: another process runs this sweep, Dask is not installed, no
+    scheduler answers.
     """
-    facts = {"git_commit": git_commit(study.experiment.path.parent), "command": json.dumps(sys.argv)}
+    facts = {"git_commit": git_commit(prepared.experiment.path.parent), "command": json.dumps(sys.argv)}
     address = results if "://" in results else os.path.abspath(results)
-    job = study.job(address, facts)
+    job = prepared.job(address, facts)
     storage = Storage(job.folder)
-    runs = study.design.runs()
-    ended = Ended(study, runs, storage)
+    result = SweepResult(prepared, storage)
     with locked(storage), interruptible() as pressed:
-        lay_out(study, storage)
+        lay_out(prepared, storage)
         try:
             with cluster.client(scheduler, workers) as client:
                 if scheduler is None:
                     client.run(cluster.deaf)
                 elif words := cluster.alike(client):
                     raise OrchError(f"--scheduler {scheduler}: {words}")
-                _run(client, job, ended, fail_fast, pressed, told)
+                _run(client, job, result, fail_fast, pressed, runs_ended)
             _clear(storage)
         finally:
-            ended.interrupted = pressed.is_set()
-            lines = table.text(runs, ended.lines, [column.name for column in study.columns])
-            storage.write(table.TABLE, lines.encode())
-    return ended
+            result.interrupted = pressed.is_set()
+            text = table.text(prepared.points, result.by_index, [column.name for column in prepared.columns])
+            storage.write(table.TABLE, text.encode())
+    return result
 
 
-def _run(client: Any, job: Job, ended: Ended, fail_fast: bool, pressed: Interrupt, told: Told) -> None:
+def _run(
+    client: Any, job: SweepJob, result: SweepResult, fail_fast: bool, pressed: Interrupt, runs_ended: RunsEnded
+) -> None:
     """Keep every worker busy until all runs have ended."""
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
     token = cluster.token()
-    waiting = deque(ended.runs)
-    alone: deque[Run] = deque()  # runs of batches that killed their workers: which of them is it?
-    flying: dict[Any, list[Run]] = {}
-    spent, measured, began, told_to_stop = 0.0, 0, time.monotonic(), False
-    while waiting or alone or flying:
-        hands = max(1, len(client.nthreads()))
-        while (waiting or alone) and len(flying) < AHEAD * hands and not ended.stopped:
-            size = _size(spent / measured if measured else BATCH_SECONDS, len(waiting), hands)
-            chosen = [waiting.popleft() for _ in range(size)] if waiting else [alone.popleft()]
-            flying[client.submit(worker.batch, token, job, chosen, fail_fast, pure=False)] = chosen
-        if pressed.is_set() or ended.stopped:
+    points = result.prepared.points
+    waiting = deque(points)
+    alone: deque[DesignPoint] = deque()  # of batches that killed their workers: run one by one, to find which did
+    submitted: dict[Any, list[DesignPoint]] = {}
+    spent, measured, began, stopping = 0.0, 0, time.monotonic(), False
+    while waiting or alone or submitted:
+        threads = max(1, len(client.nthreads()))
+        while (waiting or alone) and len(submitted) < AHEAD * threads and not result.stopped:
+            size = _size(spent / measured if measured else BATCH_SECONDS, len(waiting), threads)
+            batch = [waiting.popleft() for _ in range(size)] if waiting else [alone.popleft()]
+            submitted[client.submit(worker.batch, token, job, batch, fail_fast, pure=False)] = batch
+        if pressed.is_set() or result.stopped:
             waiting.clear()
             alone.clear()
-            if not told_to_stop:
+            if not stopping:
                 client.run(worker.interrupt, token)  # batches that wait come back empty
-                told_to_stop = True
-        if not flying:
+                stopping = True
+        if not submitted:
             break
         with contextlib.suppress(TimeoutError):
-            wait(list(flying), timeout=0.2 if not pressed.is_set() else 5.0, return_when="FIRST_COMPLETED")
-        done = [future for future in flying if future.done()]
+            wait(list(submitted), timeout=0.2 if not pressed.is_set() else 5.0, return_when="FIRST_COMPLETED")
+        done = [future for future in submitted if future.done()]
         for future in done:
-            asked = flying.pop(future)
+            batch = submitted.pop(future)
+            ended: list[PointResult] = []
             try:
-                lines = future.result()
+                ended = future.result()
             except KilledWorker:
-                lines = []
-                if len(asked) == 1:
-                    lines = [Line(asked[0].index, status=FAILED, error="every process that ran it died")]
+                if len(batch) == 1:
+                    ended = [PointResult(batch[0].index, status=FAILED, error="every process that ran it died")]
                 else:
-                    alone += asked
+                    alone += batch
             except CancelledError:
-                lines = []
-            for line in lines:
-                ended.lines[line.index] = line
-                spent, measured = spent + line.seconds, measured + 1
-            ended.stopped = ended.stopped or (fail_fast and any(line.status == FAILED for line in lines))
+                pass
+            for one in ended:
+                result.by_index[one.index] = one
+                spent, measured = spent + one.seconds, measured + 1
+            result.stopped = result.stopped or (fail_fast and any(one.status == FAILED for one in ended))
         if done:
-            ended.wall_time = time.monotonic() - began
-            told(len(ended.lines), len(ended.runs), ended.count(FAILED), ended.wall_time)
+            result.wall_time = time.monotonic() - began
+            runs_ended(len(result.by_index), len(points), result.count(FAILED), result.wall_time)
 
 
-def _size(seconds: float, waiting: int, hands: int) -> int:
+def _size(seconds: float, waiting: int, threads: int) -> int:
     """Runs of the next batch: about BATCH_SECONDS of them, fewer towards the end."""
-    return max(1, min(int(BATCH_SECONDS / max(seconds, 1e-3)), waiting // (AHEAD * hands), waiting))
+    return max(1, min(int(BATCH_SECONDS / max(seconds, 1e-3)), waiting // (AHEAD * threads), waiting))
 
 
-def lay_out(study: Study, storage: Storage) -> None:
+def lay_out(prepared: PreparedSweep, storage: Storage) -> None:
     """The sweep's folder: what it is, the FMUs, and nothing left of processes that were killed."""
     _clear(storage)
-    for digest, path in study.files.items():
+    for digest, path in prepared.files.items():
         if not storage.exists(fmu_cache.fmu_place(digest)):
             storage.write(fmu_cache.fmu_place(digest), path.read_bytes())
-    storage.write(table.DESCRIPTION, (json.dumps(study.describe(), indent=1) + "\n").encode())
+    storage.write(table.DESCRIPTION, (json.dumps(prepared.describe(), indent=1) + "\n").encode())
 
 
 def _clear(storage: Storage) -> None:

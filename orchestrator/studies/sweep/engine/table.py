@@ -12,26 +12,25 @@ from typing import Any
 
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
-from ..design.matrix import Run
-from ..design.study import FORMAT
+from ..design.matrix import DesignPoint
+from ..design.prepared import FORMAT
 from .storage import Storage
-from .worker import COMPLETED, Line
+from .worker import COMPLETED, PointResult
 
 DESCRIPTION, TABLE = "sweep.json", "table.csv"
-FIXED = ("run", "draw", "run_id", "status", "error")  # columns beside factors and metrics
 
 
-def text(runs: Sequence[Run], lines: Mapping[int, Line], metrics: Sequence[str]) -> str:
+def text(points: Sequence[DesignPoint], results: Mapping[int, PointResult], metrics: Sequence[str]) -> str:
     """CSV.  A number is written so that it reads back to the same bits; no number is an empty cell."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    keys = list(runs[0].cells)
+    keys = list(points[0].cells)
     writer.writerow(["run", "draw", *keys, "run_id", "status", *metrics, "error"])
-    for run in runs:
-        line = lines.get(run.index, Line(run.index))
-        cells = [_cell(run.cells[key]) for key in keys]
-        numbers = [_cell(line.metrics.get(name)) for name in metrics]
-        writer.writerow([run.index, run.draw, *cells, line.run_id, line.status, *numbers, line.error])
+    for point in points:
+        result = results.get(point.index, PointResult(point.index))
+        cells = [_cell(point.cells[key]) for key in keys]
+        numbers = [_cell(result.metrics.get(name)) for name in metrics]
+        writer.writerow([point.index, point.draw, *cells, result.run_id, result.status, *numbers, result.error])
     return stream.getvalue()
 
 
@@ -44,9 +43,12 @@ def _cell(value: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
-    """A sweep's table, read.  keys: what varied; labels: {key: short name}; lists: the keys that were listed, in groups
-    of those that change together; rows: one a run: its cells as text, numbers of metrics under their names."""
+class SweepTable:
+    """The table of a sweep, read.
+
+    keys: what varied; labels: {key: short name}; groups: the keys that had lists, in groups of those that change
+    together; rows: one a run: its cells as text, numbers of metrics under their names.
+    """
 
     sweep_id: str
     title: str
@@ -72,7 +74,7 @@ class Table:
         return [row for row in self.rows if row["status"] == COMPLETED]
 
 
-def find(results: str, sweep: str) -> Table:
+def find(results: str, sweep: str) -> SweepTable:
     """The sweep that is meant: an id, a unique prefix of one, an experiment of which there is one sweep, or "last".
 
     Raises StoreError where that is none, or several.
@@ -94,7 +96,7 @@ def find(results: str, sweep: str) -> Table:
     raise StoreError(f"no sweep {sweep!r} in {results}{did_you_mean(sweep, [*ids.values()], 'there are')}")
 
 
-def read(results: str, folder: str) -> Table:
+def read(results: str, folder: str) -> SweepTable:
     """Raises StoreError where the sweep cannot be read."""
     storage = Storage(f"{results.rstrip('/')}/{folder}")
     try:
@@ -108,4 +110,4 @@ def read(results: str, folder: str) -> Table:
             row |= {column.name: float(row[column.name] or math.nan) for column in columns}
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(f"{storage.address} holds no sweep that can be read: {error}") from None
-    return Table(description["sweep_id"], description["title"], storage, description, columns, rows)
+    return SweepTable(description["sweep_id"], description["title"], storage, description, columns, rows)

@@ -22,8 +22,8 @@ from ....records.file.access import UNREADABLE
 from ....records.file.provenance import versions
 from ....records.file.run import Run as Record
 from ....simulation.loop import Interrupt
-from ..design.matrix import Run
-from ..design.study import ID_LENGTH, Job
+from ..design.matrix import DesignPoint
+from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache
 from .one_run import perform, rows_of
 from .storage import Storage
@@ -32,8 +32,8 @@ COMPLETED, FAILED, MISSING = "completed", "failed", "missing"
 
 
 @dataclass(frozen=True)
-class Line:
-    """How one run of a sweep ended.  seconds: of wall time; fresh: False where the record was there."""
+class PointResult:
+    """How one run of a sweep ended.  seconds: of wall time; fresh: False where its record existed."""
 
     index: int
     run_id: str = ""
@@ -48,31 +48,31 @@ _interrupts: dict[str, Interrupt] = {}
 _one_at_a_time = threading.Lock()  # a Dask worker may have several threads; FMUs of a process want one
 
 
-def batch(token: str, job: Job, runs: Sequence[Run], stop_at_failure: bool) -> list[Line]:
-    """Run each, unless its record is there, verified and complete; those after an interruption are left out.
+def batch(token: str, job: SweepJob, points: Sequence[DesignPoint], stop_at_failure: bool) -> list[PointResult]:
+    """Run each, unless its record exists, verified and complete; those after an interruption are left out.
 
     token: of the process that asks, by which `interrupt` ends its runs.
     """
     interrupt = _interrupts.setdefault(token, Interrupt())
     shelf, storage = fmu_cache.shelf(), Storage(job.folder)
-    lines: list[Line] = []
-    for run in runs:
+    results: list[PointResult] = []
+    for point in points:
         if interrupt.is_set():
             break
         began = time.perf_counter()
         try:
             with _one_at_a_time:
-                line = _one(job, run, shelf, storage, interrupt)
+                result = _run(job, point, shelf, storage, interrupt)
         except KeyboardInterrupt:
             break
         except OrchError as error:  # this draw cannot run, or its record cannot be written
-            line = Line(run.index, status=FAILED, error=" ".join(str(error).split()))
-        if line.status == "interrupted":
+            result = PointResult(point.index, status=FAILED, error=" ".join(str(error).split()))
+        if result.status == "interrupted":
             break
-        lines.append(replace(line, seconds=time.perf_counter() - began))
-        if stop_at_failure and line.status == FAILED:
+        results.append(replace(result, seconds=time.perf_counter() - began))
+        if stop_at_failure and result.status == FAILED:
             break
-    return lines
+    return results
 
 
 def interrupt(token: str) -> None:
@@ -80,25 +80,27 @@ def interrupt(token: str) -> None:
     _interrupts.setdefault(token, Interrupt()).set()
 
 
-def _one(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage, interrupt: Interrupt) -> Line:
-    plan = plan_of(job, run, shelf, storage)
+def _run(
+    job: SweepJob, point: DesignPoint, shelf: fmu_cache.Shelf, storage: Storage, interrupt: Interrupt
+) -> PointResult:
+    plan = plan_of(job, point, shelf, storage)
     run_id = plan.digest[:ID_LENGTH]
     name = f"{run_id}.h5"
     if storage.exists(name):
-        found = there(storage, name, plan, job.keep)
-        if found is not None:
-            return Line(run.index, run_id, COMPLETED, metrics=found, fresh=False)
+        metrics = stored_metrics(storage, name, plan, job.keep)
+        if metrics is not None:
+            return PointResult(point.index, run_id, COMPLETED, metrics=metrics, fresh=False)
     known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
     with storage.scratch(name) as path:
         done = perform(plan, path, job.keep, known, interrupt, shelf)
         if done.status != "interrupted":
             storage.put(path, name)
-    return Line(run.index, run_id, done.status, done.error, finite(done.metrics))
+    return PointResult(point.index, run_id, done.status, done.error, finite(done.metrics))
 
 
-def plan_of(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage) -> Plan:
+def plan_of(job: SweepJob, point: DesignPoint, shelf: fmu_cache.Shelf, storage: Storage) -> Plan:
     """The plan of a run, made of the sweep's own FMUs under the names that the experiment gives them."""
-    experiment = job.experiment(run)
+    experiment = job.experiment(point)
     places = {c.name: str(shelf.fmu(storage, job.fmus[c.fmu])) for c in experiment.components if c.fmu}
     fetched = tuple(replace(c, fmu=places.get(c.name, c.fmu)) for c in experiment.components)
     plan = resolve(replace(experiment, components=fetched), {}, {}, shelf.read)
@@ -107,7 +109,7 @@ def plan_of(job: Job, run: Run, shelf: fmu_cache.Shelf, storage: Storage) -> Pla
     return replace(plan, experiment=experiment, components=components)
 
 
-def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
+def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
     """The metrics of a record that is complete and of this very run, with these metrics and rows; else None.
 
     All rows are read, and so checked by HDF5's checksums.
@@ -125,8 +127,8 @@ def there(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float
             ends = [name.partition(".")[::2] for name in Record(Path(name), file).signals]
             if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
                 return None
-            found: dict[str, float | None] = json.loads(facts["metrics"])
-            return found if set(found) == set(plan.experiment.metrics) else None
+            metrics: dict[str, float | None] = json.loads(facts["metrics"])
+            return metrics if set(metrics) == set(plan.experiment.metrics) else None
     except UNREADABLE:
         return None
 

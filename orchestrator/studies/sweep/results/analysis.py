@@ -21,7 +21,7 @@ import numpy as np
 from ....errors import OrchError, StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
 from ..engine.storage import MISSING
-from ..engine.table import Table
+from ..engine.table import SweepTable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +34,7 @@ LEVEL = 0.05  # at which a difference is called one
 
 
 @dataclass(frozen=True)
-class Summary:
+class ContenderSummary:
     """One contender and one metric, in its unit.  n: completed runs with a number; low, high: of the mean, 95 %."""
 
     contender: str
@@ -48,7 +48,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Pair:
+class PairComparison:
     """Two contenders and one metric, on the n draws that both completed.  difference: the mean of first - second, with
     its 95 % interval; p: of Wilcoxon's test; p_holm: corrected; effect: rank-biserial, -1 .. 1."""
 
@@ -72,17 +72,17 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Analysis:
+class SweepAnalysis:
     """by: what tells the contenders apart, its cells being in the columns `keys`; contenders: their names, in the order
     of the file; failures: of each, the runs without a completed record."""
 
-    table: Table
+    table: SweepTable
     by: str
     keys: list[str]
     contenders: list[str]
     columns: list[Column]
-    summaries: list[Summary]
-    pairs: list[Pair]
+    summaries: list[ContenderSummary]
+    pairs: list[PairComparison]
     failures: dict[str, int]
     notes: list[str]
     names: dict[tuple[str, ...], str]  # of the contenders, by their cells
@@ -90,7 +90,7 @@ class Analysis:
     def contender_of(self, row: dict[str, Any]) -> str:
         return self.names[_cells(row, self.keys)]
 
-    def of(self, metric: Column) -> list[Summary]:
+    def of(self, metric: Column) -> list[ContenderSummary]:
         return [s for s in self.summaries if s.metric == metric]
 
     def best(self, metric: Column) -> str:
@@ -99,7 +99,7 @@ class Analysis:
         return min(numbers, key=lambda s: abs(s.mean)).contender if metric.ranked and len(numbers) > 1 else ""
 
 
-def analyse(table: Table, globs: Sequence[str] = (), by: str = "") -> Analysis:
+def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> SweepAnalysis:
     """globs: over names of metrics; none chooses all.  by: the list whose values compete, by default the first one.
 
     Raises StoreError where a glob or `by` fits nothing, OrchError without scipy.
@@ -129,10 +129,10 @@ def analyse(table: Table, globs: Sequence[str] = (), by: str = "") -> Analysis:
     short = len({cells[:1] for cells in names}) == len(names)  # the first key of a zipped group may be enough
     by = " + ".join(table.labels[key] for key in group[: 1 if short else None]) or "runs"
     notes = _notes(failures, table)
-    return Analysis(table, by, group, contenders, columns, summaries, _corrected(pairs), failures, notes, names)
+    return SweepAnalysis(table, by, group, contenders, columns, summaries, _corrected(pairs), failures, notes, names)
 
 
-def _columns(table: Table, globs: Sequence[str]) -> list[Column]:
+def _columns(table: SweepTable, globs: Sequence[str]) -> list[Column]:
     names = [column.name for column in table.columns]
     for pattern in globs:
         if not fnmatch.filter(names, pattern):
@@ -140,7 +140,7 @@ def _columns(table: Table, globs: Sequence[str]) -> list[Column]:
     return [c for c in table.columns if not globs or any(fnmatch.fnmatchcase(c.name, pattern) for pattern in globs)]
 
 
-def _group(table: Table, by: str) -> list[str]:
+def _group(table: SweepTable, by: str) -> list[str]:
     """The keys whose values tell the contenders apart; none where nothing was listed."""
     if not by:
         return table.groups[0] if table.groups else []
@@ -154,7 +154,7 @@ def _cells(row: dict[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
     return tuple(row[key] for key in keys)
 
 
-def _names(table: Table, group: list[str]) -> dict[tuple[str, ...], str]:
+def _names(table: SweepTable, group: list[str]) -> dict[tuple[str, ...], str]:
     """{cells of the group: name of the contender}: the first cell, with the others where that alone is not enough."""
     found = list(dict.fromkeys(_cells(row, group) for row in table.rows))
     if not group:
@@ -163,23 +163,23 @@ def _names(table: Table, group: list[str]) -> dict[tuple[str, ...], str]:
     return dict(zip(found, short if len(set(short)) == len(short) else [", ".join(c) for c in found], strict=True))
 
 
-def _summary(contender: str, metric: Column, values: dict[Any, float]) -> Summary:
+def _summary(contender: str, metric: Column, values: dict[Any, float]) -> ContenderSummary:
     x = np.array([values[pair] for pair in sorted(values, key=repr)])
     if not len(x):
-        return Summary(contender, metric, 0, *[math.nan] * 5)
+        return ContenderSummary(contender, metric, 0, *[math.nan] * 5)
     low, high = _interval(x)
     std = float(x.std(ddof=1)) if len(x) > 1 else math.nan
-    return Summary(contender, metric, len(x), float(x.mean()), std, float(np.median(x)), low, high)
+    return ContenderSummary(contender, metric, len(x), float(x.mean()), std, float(np.median(x)), low, high)
 
 
-def _pair(first: str, second: str, metric: Column, one: dict[Any, float], other: dict[Any, float]) -> Pair:
+def _pair(first: str, second: str, metric: Column, one: dict[Any, float], other: dict[Any, float]) -> PairComparison:
     shared = sorted(one.keys() & other.keys(), key=repr)
     d = np.array([one[pair] - other[pair] for pair in shared])
     if not len(d):
-        return Pair(first, second, metric, 0, *[math.nan] * 6)
+        return PairComparison(first, second, metric, 0, *[math.nan] * 6)
     low, high = _interval(d)
     p, effect = _wilcoxon(d)
-    return Pair(first, second, metric, len(d), float(d.mean()), low, high, p, math.nan, effect)
+    return PairComparison(first, second, metric, len(d), float(d.mean()), low, high, p, math.nan, effect)
 
 
 def _interval(x: Array) -> tuple[float, float]:
@@ -208,7 +208,7 @@ def _wilcoxon(d: Array) -> tuple[float, float]:
     return p, (above - below) / (above + below)
 
 
-def _corrected(pairs: Sequence[Pair]) -> list[Pair]:
+def _corrected(pairs: Sequence[PairComparison]) -> list[PairComparison]:
     """Holm's step-down correction over all comparisons that have a p-value."""
     from dataclasses import replace
 
@@ -220,7 +220,7 @@ def _corrected(pairs: Sequence[Pair]) -> list[Pair]:
     return found
 
 
-def _notes(failures: dict[str, int], table: Table) -> list[str]:
+def _notes(failures: dict[str, int], table: SweepTable) -> list[str]:
     missing = sum(row["status"] == "missing" for row in table.rows)
     notes = [f"{missing} of {len(table.rows)} runs are missing: run the sweep again to complete it"] if missing else []
     told = ", ".join(f"{name} {n}" for name, n in failures.items() if n)
@@ -237,7 +237,7 @@ def _stats() -> Any:
     return stats
 
 
-def as_json(analysis: Analysis) -> dict[str, Any]:
+def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
 

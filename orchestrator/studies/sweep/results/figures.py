@@ -12,8 +12,8 @@ import numpy as np
 
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
-from ..engine.table import Table
-from .analysis import Analysis
+from ..engine.table import SweepTable
+from .analysis import SweepAnalysis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ ACROSS = 3  # panels beside each other
 BINS = 6  # of a factor of a heat map that has more values
 
 
-def draw(analysis: Analysis, target: Path, kind: str = "box", over: Sequence[str] = ()) -> None:
+def draw(analysis: SweepAnalysis, target: Path, kind: str = "box", over: Sequence[str] = ()) -> None:
     """Write a figure: PNG, PDF or SVG.  over: the two factors of a heat map, by default the first two that were drawn.
 
     Raises StoreError where the file cannot be written, or a factor is none.
@@ -37,7 +37,7 @@ def draw(analysis: Analysis, target: Path, kind: str = "box", over: Sequence[str
         raise StoreError(f"{target} cannot be written: {error}") from None
 
 
-def figure(analysis: Analysis, kind: str = "box", over: Sequence[str] = ()) -> Figure:
+def figure(analysis: SweepAnalysis, kind: str = "box", over: Sequence[str] = ()) -> Figure:
     """The figure of `draw`."""
     from matplotlib.figure import Figure
 
@@ -45,7 +45,7 @@ def figure(analysis: Analysis, kind: str = "box", over: Sequence[str] = ()) -> F
         return _heatmaps(analysis, *_factors(analysis.table, over))
     if kind == "parallel":
         return _parallel(analysis)
-    panel: Callable[[Axes, Analysis, Column], None] = {"box": _box, "violin": _violin, "ecdf": _ecdf}[kind]
+    panel: Callable[[Axes, SweepAnalysis, Column], None] = {"box": _box, "violin": _violin, "ecdf": _ecdf}[kind]
     n = len(analysis.columns)
     across = min(ACROSS, n)
     down = -(-n // across)
@@ -58,24 +58,24 @@ def figure(analysis: Analysis, kind: str = "box", over: Sequence[str] = ()) -> F
     return found
 
 
-def values(analysis: Analysis, contender: str, column: Column) -> Any:
+def values(analysis: SweepAnalysis, contender: str, column: Column) -> Any:
     """The metric of a contender's completed runs, (N,), without those that have no number."""
     found = np.array([row[column.name] for row in rows_of(analysis, contender)])
     return found[np.isfinite(found)]
 
 
-def rows_of(analysis: Analysis, contender: str) -> list[dict[str, Any]]:
+def rows_of(analysis: SweepAnalysis, contender: str) -> list[dict[str, Any]]:
     """The completed runs of a contender."""
     return [row for row in analysis.table.completed if analysis.contender_of(row) == contender]
 
 
-def _box(axis: Axes, analysis: Analysis, column: Column) -> None:
+def _box(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     data = [values(analysis, name, column) for name in analysis.contenders]
     axis.boxplot(data, showmeans=True, flierprops={"markersize": 3}, medianprops={"color": "C1"})
     _contenders(axis, analysis, column)
 
 
-def _violin(axis: Axes, analysis: Analysis, column: Column) -> None:
+def _violin(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     for i, name in enumerate(analysis.contenders, 1):
         data = values(analysis, name, column)
         if len(data) > 1 and np.ptp(data) > 0:  # a density needs a width
@@ -85,14 +85,14 @@ def _violin(axis: Axes, analysis: Analysis, column: Column) -> None:
     _contenders(axis, analysis, column)
 
 
-def _contenders(axis: Axes, analysis: Analysis, column: Column) -> None:
+def _contenders(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     places = range(1, len(analysis.contenders) + 1)
     axis.set_xticks(list(places), analysis.contenders, rotation=30, ha="right", fontsize=8)
     axis.set_ylabel(column.head)
     axis.grid(axis="y", alpha=0.3)
 
 
-def _ecdf(axis: Axes, analysis: Analysis, column: Column) -> None:
+def _ecdf(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     for i, name in enumerate(analysis.contenders):
         data = values(analysis, name, column)
         if len(data):
@@ -103,7 +103,7 @@ def _ecdf(axis: Axes, analysis: Analysis, column: Column) -> None:
     axis.legend(fontsize=7)
 
 
-def _factors(table: Table, over: Sequence[str]) -> tuple[str, str]:
+def _factors(table: SweepTable, over: Sequence[str]) -> tuple[str, str]:
     """The keys of the two factors of a heat map."""
     known = {name: key for key in table.keys for name in (key, table.labels[key])}
     listed = [key for group in table.groups for key in group]
@@ -118,7 +118,7 @@ def _factors(table: Table, over: Sequence[str]) -> tuple[str, str]:
     return chosen[0], chosen[1]
 
 
-def _heatmaps(analysis: Analysis, one: str, other: str) -> Figure:
+def _heatmaps(analysis: SweepAnalysis, one: str, other: str) -> Figure:
     """Medians in cells: a line of panels a metric, a panel a contender."""
     from matplotlib.figure import Figure
 
@@ -177,7 +177,7 @@ def _range(numbers: Any) -> tuple[float, float]:
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
 
-def _parallel(analysis: Analysis) -> Figure:
+def _parallel(analysis: SweepAnalysis) -> Figure:
     """A line a run through its factors and metrics, each axis scaled to what it holds."""
     from matplotlib.figure import Figure
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from ....files import write_text
 from . import figures as plots
 from . import tables
-from .analysis import Analysis
+from .analysis import SweepAnalysis
 
 KINDS = {
     "box": "Distributions",
@@ -44,7 +44,7 @@ figure svg {{ max-width: 100%; height: auto; background: white; }}
 """
 
 
-def write(analysis: Analysis, target: Path) -> Path:
+def write(analysis: SweepAnalysis, target: Path) -> Path:
     """Raises StoreError where the file cannot be written."""
     table = analysis.table
     drawn = table.description["distributions"]
@@ -66,7 +66,7 @@ def write(analysis: Analysis, target: Path) -> Path:
     return write_text(target, text)
 
 
-def _svg(analysis: Analysis, kind: str) -> str:
+def _svg(analysis: SweepAnalysis, kind: str) -> str:
     import matplotlib
 
     stream = io.StringIO()

@@ -12,13 +12,13 @@ from html import escape
 from ....records.compare.side_by_side import digits
 from ....views.tables import latex
 from ....views.tables.terminal import columns_of
-from .analysis import LEVEL, Analysis, Pair, Summary
+from .analysis import LEVEL, ContenderSummary, PairComparison, SweepAnalysis
 
 NO_NUMBER = "-"
 
 
 @dataclass(frozen=True)
-class Grid:
+class TextTable:
     """A table of text.  left: how many columns are words; bold: rows whose first number is the best."""
 
     title: str
@@ -28,10 +28,10 @@ class Grid:
     bold: list[bool]
 
 
-def grids(analysis: Analysis, pairs: bool = True) -> list[Grid]:
+def text_tables(analysis: SweepAnalysis, pairs: bool = True) -> list[TextTable]:
     """The contenders by themselves, and two by two."""
-    found = [
-        Grid(
+    tables = [
+        TextTable(
             "",
             ["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
             [_summary(s) for s in analysis.summaries],
@@ -41,11 +41,12 @@ def grids(analysis: Analysis, pairs: bool = True) -> list[Grid]:
     ]
     if pairs and analysis.pairs:
         head = ["metric", "first", "second", "n", "first - second", "95 % interval", "p (Holm)", "effect", "smaller"]
-        found.append(Grid("Draw by draw", head, [_pair(p) for p in analysis.pairs], 3, [False] * len(analysis.pairs)))
-    return found
+        rows = [_pair(p) for p in analysis.pairs]
+        tables.append(TextTable("Draw by draw", head, rows, 3, [False] * len(rows)))
+    return tables
 
 
-def _summary(s: Summary) -> list[str]:
+def _summary(s: ContenderSummary) -> list[str]:
     return [
         s.metric.head,
         s.contender,
@@ -57,7 +58,7 @@ def _summary(s: Summary) -> list[str]:
     ]
 
 
-def _pair(p: Pair) -> list[str]:
+def _pair(p: PairComparison) -> list[str]:
     return [
         p.metric.head,
         p.first,
@@ -85,7 +86,7 @@ def _probability(p: float) -> str:
     return "< 1e-4" if p < 1e-4 else f"{p:.4f}" if p < 0.0995 else f"{p:.2f}"
 
 
-def legend(analysis: Analysis, pairs: bool = True) -> list[str]:
+def legend(analysis: SweepAnalysis, pairs: bool = True) -> list[str]:
     """What the columns are, and what weakens them."""
     table = analysis.table
     lines = [
@@ -99,47 +100,47 @@ def legend(analysis: Analysis, pairs: bool = True) -> list[str]:
     return lines + [f"note: {note}" for note in analysis.notes]
 
 
-def table(analysis: Analysis, pairs: bool = True) -> str:
+def table(analysis: SweepAnalysis, pairs: bool = True) -> str:
     """For the terminal; * marks the mean nearest to zero."""
     blocks = []
-    for grid in grids(analysis, pairs):
+    for shown in text_tables(analysis, pairs):
         rows = [
             tuple(f"{cell}*" if bold and i == 3 else cell for i, cell in enumerate(row))
-            for row, bold in zip(grid.rows, grid.bold, strict=True)
+            for row, bold in zip(shown.rows, shown.bold, strict=True)
         ]
-        blocks.append("\n".join([*([grid.title] if grid.title else []), *columns_of([tuple(grid.head), *rows])]))
+        blocks.append("\n".join([*([shown.title] if shown.title else []), *columns_of([tuple(shown.head), *rows])]))
     return "\n\n".join([*blocks, "\n".join(legend(analysis, pairs))])
 
 
-def markdown(analysis: Analysis, pairs: bool = True) -> str:
+def markdown(analysis: SweepAnalysis, pairs: bool = True) -> str:
     blocks = []
-    for grid in grids(analysis, pairs):
+    for shown in text_tables(analysis, pairs):
         rows = [
             [f"**{cell}**" if bold and i == 3 else cell.replace("|", "\\|") for i, cell in enumerate(row)]
-            for row, bold in zip(grid.rows, grid.bold, strict=True)
+            for row, bold in zip(shown.rows, shown.bold, strict=True)
         ]
-        rule = ["---"] * grid.left + ["---:"] * (len(grid.head) - grid.left)
-        blocks.append("\n".join("| " + " | ".join(line) + " |" for line in [grid.head, rule, *rows]))
+        rule = ["---"] * shown.left + ["---:"] * (len(shown.head) - shown.left)
+        blocks.append("\n".join("| " + " | ".join(line) + " |" for line in [shown.head, rule, *rows]))
     return "\n\n".join([*blocks, *legend(analysis, pairs)])
 
 
-def latex_text(analysis: Analysis, pairs: bool = True) -> str:
+def latex_text(analysis: SweepAnalysis, pairs: bool = True) -> str:
     """Two tables for booktabs."""
     caption = latex.escape(analysis.table.title)
     blocks = []
-    for grid in grids(analysis, pairs):
+    for shown in text_tables(analysis, pairs):
         lines = [
             r"% \usepackage{booktabs}",
             r"\begin{table}",
             r"  \centering",
             rf"  \caption{{{caption}: {latex.escape('; '.join(legend(analysis, pairs)))}.}}",
-            rf"  \begin{{tabular}}{{{'l' * grid.left}{'r' * (len(grid.head) - grid.left)}}}",
+            rf"  \begin{{tabular}}{{{'l' * shown.left}{'r' * (len(shown.head) - shown.left)}}}",
             r"    \toprule",
-            _row(grid.head, False),
+            _row(shown.head, False),
             r"    \midrule",
         ]
         last = ""
-        for row, bold in zip(grid.rows, grid.bold, strict=True):
+        for row, bold in zip(shown.rows, shown.bold, strict=True):
             if last and row[0] != last:
                 lines.append(r"    \addlinespace")
             lines.append(_row(["" if row[0] == last else row[0], *row[1:]], bold))
@@ -155,7 +156,7 @@ def _row(cells: Sequence[str], bold: bool) -> str:
     return "    " + " & ".join(texts) + r" \\"
 
 
-def csv_text(analysis: Analysis, pairs: bool = True) -> str:
+def csv_text(analysis: SweepAnalysis, pairs: bool = True) -> str:
     """In full precision: one line a contender and metric, then one a pair and metric."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -174,17 +175,17 @@ def csv_text(analysis: Analysis, pairs: bool = True) -> str:
     return stream.getvalue().rstrip("\n")
 
 
-def html(analysis: Analysis) -> str:
+def html(analysis: SweepAnalysis) -> str:
     blocks = []
-    for grid in grids(analysis):
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in grid.head)
+    for shown in text_tables(analysis):
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in shown.head)
         body = "".join(
             "<tr>"
             + "".join(f"<td>{f'<b>{escape(c)}</b>' if bold and i == 3 else escape(c)}</td>" for i, c in enumerate(row))
             + "</tr>"
-            for row, bold in zip(grid.rows, grid.bold, strict=True)
+            for row, bold in zip(shown.rows, shown.bold, strict=True)
         )
-        title = f"<h3>{escape(grid.title)}</h3>" if grid.title else ""
+        title = f"<h3>{escape(shown.title)}</h3>" if shown.title else ""
         blocks.append(
             f'{title}<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
             f"<tbody>{body}</tbody></table></div>"

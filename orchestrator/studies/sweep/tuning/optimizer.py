@@ -15,36 +15,37 @@ from pathlib import Path
 from typing import Any
 
 from ....errors import ExperimentError, OrchError, StoreError
-from ....experiment.experiment import load
+from ....experiment.experiment import Experiment, load
+from ....experiment.sweep import SweepSpec
+from ....experiment.sweep import read as read_sweep
+from ....experiment.tune import Space, TuneSpec
+from ....experiment.tune import read as read_tune
 from ....records.file.provenance import git_commit
 from ....simulation.loop import Interrupt
 from ....simulation.master import interruptible
-from ..design import study
-from ..design.matrix import Run
-from ..design.study import Job, Study
+from ..design.matrix import DesignPoint
+from ..design.prepared import ID_LENGTH, PreparedSweep, SweepJob, prepare_as
 from ..engine import cluster, worker
 from ..engine import scheduler as engine
-from ..engine.scheduler import Ended
+from ..engine.scheduler import SweepResult
 from ..engine.storage import Storage
-from ..engine.worker import Line
-from . import search
-from .search import Search
-from .trials import Trials, Tuned
+from ..engine.worker import PointResult
+from .trials import ControllerSearch, TunedController
 
 FOLDER = "_tune"  # in the store, which ignores it: thousands of runs that nobody looks for
 MISSING = 'tuning needs optuna; pip install "orch[sweep,tune]"'
 
-Told = Callable[[str, int, int, float], None]  # controller, trials that ended, of how many, the best objective
+TrialEnded = Callable[[str, int, int, float], None]  # controller, trials that ended, of how many, the best objective
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TuneResult:
     """folder: of the study and the fragments; final: the sweep on held-out draws, None where it was interrupted."""
 
     tune_id: str
     folder: Path
-    tuned: list[Tuned]
-    final: Ended | None
+    tuned: list[TunedController]
+    final: SweepResult | None
 
 
 def tune(
@@ -55,38 +56,38 @@ def tune(
     results: str = "results",
     scheduler: str | None = None,
     workers: int | None = None,
-    note: Callable[[str], None] = lambda _: None,
-    told: Told = lambda *_: None,
-    swept: engine.Told = lambda *_: None,
-) -> Outcome:
-    """Tune, and compare.  note: called with what a user should know; told, swept: with the progress.
+    report: Callable[[str], None] = lambda _: None,
+    trial_ended: TrialEnded = lambda *_: None,
+    runs_ended: engine.RunsEnded = lambda *_: None,
+) -> TuneResult:
+    """Tune, and compare.  report: called with what a user should know; trial_ended, runs_ended: with the progress.
 
     Raises ExperimentError with all problems, OrchError without optuna or Dask.
     """
     _optuna()
-    asked = load(path, set, swap)
-    spec, problems = search.read(asked.sweep, asked.metrics)
+    experiment = load(path, set, swap)
+    spec, problems = read_tune(experiment.sweep, experiment.metrics)
     if problems:
-        raise ExperimentError(path, [*asked.problems, *problems])
-    made = _study(path, set, swap, packaging, spec, note)
+        raise ExperimentError(path, [*experiment.problems, *(p for p in problems if p not in experiment.problems)])
+    trials = prepare_as(experiment, _of_trials(experiment, spec), packaging, report)
     if "://" in results:
         raise StoreError(f"--results {results}: the study is a database; give a folder of this machine")
-    tune_id = _identity(made, spec)
-    folder = Path(results).resolve() / FOLDER / f"{made.experiment.path.stem}-{tune_id}"
+    tune_id = _identity(trials, spec)
+    folder = Path(results).resolve() / FOLDER / f"{experiment.path.stem}-{tune_id}"
     storage = Storage(str(folder))
-    facts = {"git_commit": git_commit(made.experiment.path.parent), "command": json.dumps(sys.argv)}
-    job = replace(made.job(results, facts), folder=storage.address, keep="metrics")
+    facts = {"git_commit": git_commit(experiment.path.parent), "command": json.dumps(sys.argv)}
+    job = replace(trials.job(results, facts), folder=storage.address, keep="metrics")
     with engine.locked(storage), interruptible() as pressed:
-        engine.lay_out(made, storage)
+        engine.lay_out(trials, storage)
         with cluster.client(scheduler, workers) as client:
             if scheduler is None:
                 client.run(cluster.deaf)
-            tuned = _search(client, job, made, spec, folder, pressed, told, note)
+            tuned = _search(client, job, trials, spec, folder, pressed, trial_ended, report)
     if pressed.is_set():
-        return Outcome(tune_id, folder, tuned, None)
+        return TuneResult(tune_id, folder, tuned, None)
     _write(folder, spec, tuned)
-    final = _compare(path, set, swap, packaging, spec, tuned, note)
-    return Outcome(tune_id, folder, tuned, engine.sweep(final, results, scheduler, workers, told=swept))
+    final = prepare_as(experiment, _of_comparison(experiment, spec, tuned), packaging, report)
+    return TuneResult(tune_id, folder, tuned, engine.sweep(final, results, scheduler, workers, runs_ended=runs_ended))
 
 
 def _optuna() -> Any:
@@ -98,58 +99,56 @@ def _optuna() -> Any:
     return optuna
 
 
-def _study(
-    path: str | Path,
-    set: Mapping[str, Any] | None,
-    swap: Mapping[str, str] | None,
-    packaging: str,
-    spec: Search,
-    note: Callable[[str], None],
-) -> Study:
+def _of_trials(experiment: Experiment, spec: TuneSpec) -> SweepSpec:
     """The sweep that trials are drawn from: the controllers, each with the middle of its space, on the first draws."""
-    changed = _replaced(path, set, swap, spec, list(spec.spaces), [_middle(s) for s in spec.spaces.values()])
-    return study.prepare(path, {**changed, "sweep.draws": spec.draws}, swap, packaging, note)
+    middles = [_middle(space) for space in spec.spaces.values()]
+    return replace(_of_controllers(experiment, spec, list(spec.spaces), middles), draws=spec.draws)
 
 
-def _replaced(
-    path: str | Path,
-    set: Mapping[str, Any] | None,
-    swap: Mapping[str, str] | None,
-    spec: Search,
+def _of_comparison(experiment: Experiment, spec: TuneSpec, tuned: list[TunedController]) -> SweepSpec:
+    """The sweep of tuned and default parameters on draws that no trial has seen."""
+    both: list[tuple[str, str, dict[str, Any]]] = [(one.fmu, one.fmu, {}) for one in tuned]
+    both += [(f"{one.fmu} tuned", one.fmu, dict(one.parameters)) for one in tuned if one.parameters]
+    titles, fmus, parameters = [b[0] for b in both], [b[1] for b in both], [b[2] for b in both]
+    controllers = _of_controllers(experiment, spec, fmus, parameters, titles)
+    return replace(controllers, draws=spec.held_out, skip=spec.draws)
+
+
+def _of_controllers(
+    experiment: Experiment,
+    spec: TuneSpec,
     fmus: list[str],
     parameters: list[dict[str, Any]],
     titles: list[str] | None = None,
-) -> dict[str, Any]:
-    """`set` for a sweep of controllers with parameters, in place of the lists of the file; its distributions stay."""
-    table = load(path, set, swap).sweep
-    drawn = {key: value for key, value in table.get("vary", {}).items() if isinstance(value, dict)}
-    lists: dict[str, Any] = {"title": titles} if titles else {}
+) -> SweepSpec:
+    """A sweep of controllers with parameters, in place of the file's lists; its distributions stay."""
+    lists: dict[str, list[Any]] = {"title": titles} if titles else {}
     lists |= {f"components.{spec.component}.fmu": fmus, f"components.{spec.component}.parameters": parameters}
-    kept = {key: value for key, value in table.items() if key not in ("vary", "zip")}
-    return {**(set or {}), "sweep": {**kept, "vary": {**lists, **drawn}, "zip": [list(lists)]}}
+    rows = tuple(zip(*lists.values(), strict=True))
+    return replace(read_sweep(experiment.sweep)[0], lists=((tuple(lists), rows),))
 
 
-def _middle(space: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _middle(space: Space) -> dict[str, Any]:
     """Some value of each parameter, to check that it is one."""
     return {name: d["values"][0] if d["distribution"] == "choice" else d["low"] for name, d in space.items()}
 
 
-def _identity(made: Study, spec: Search) -> str:
+def _identity(trials: PreparedSweep, spec: TuneSpec) -> str:
     """What makes two studies the same: not the number of trials, which more may be added to."""
-    text = json.dumps([made.sweep_id, spec.objective, spec.goal, spec.draws, spec.spaces], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[: study.ID_LENGTH]
+    text = json.dumps([trials.sweep_id, spec.objective, spec.goal, spec.draws, spec.spaces], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 
 def _search(
     client: Any,
-    job: Job,
-    made: Study,
-    spec: Search,
+    job: SweepJob,
+    prepared: PreparedSweep,
+    spec: TuneSpec,
     folder: Path,
     pressed: Interrupt,
-    told: Told,
-    note: Callable[[str], None],
-) -> list[Tuned]:
+    trial_ended: TrialEnded,
+    report: Callable[[str], None],
+) -> list[TunedController]:
     """All controllers at once, each a sequence of trials."""
     from distributed import wait
     from distributed.scheduler import KilledWorker
@@ -158,30 +157,30 @@ def _search(
     patient = {"connect_args": {"timeout": 60}}  # s
     storage = optuna.storages.RDBStorage(f"sqlite:///{folder / 'study.sqlite'}", engine_kwargs=patient)
     token = cluster.token()
-    searches = {fmu: Trials(optuna, storage, fmu, space, made, spec, note) for fmu, space in spec.spaces.items()}
-    asking = {fmu: one.run() for fmu, one in searches.items()}
+    searches = {fmu: ControllerSearch(optuna, storage, fmu, prepared, spec, report) for fmu in spec.spaces}
+    asking = {fmu: search.run() for fmu, search in searches.items()}
     asked = {fmu: next(generator, None) for fmu, generator in asking.items()}
-    answers: dict[str, dict[int, Line]] = {fmu: {} for fmu in searches}
-    flying: dict[Any, tuple[str, Run]] = {}
+    answers: dict[str, dict[int, PointResult]] = {fmu: {} for fmu in searches}
+    submitted: dict[Any, tuple[str, DesignPoint]] = {}
 
     def submit(fmu: str) -> None:
-        for run in asked[fmu] or ():
-            flying[client.submit(worker.batch, token, job, [run], False, pure=False)] = fmu, run
+        for point in asked[fmu] or ():
+            submitted[client.submit(worker.batch, token, job, [point], False, pure=False)] = fmu, point
 
     for fmu in searches:
         submit(fmu)
-    while flying and not pressed.is_set():
+    while submitted and not pressed.is_set():
         try:
-            wait(list(flying), timeout=0.2, return_when="FIRST_COMPLETED")
+            wait(list(submitted), timeout=0.2, return_when="FIRST_COMPLETED")
         except TimeoutError:
             continue
-        for future in [future for future in flying if future.done()]:
-            fmu, run = flying.pop(future)
+        for future in [future for future in submitted if future.done()]:
+            fmu, point = submitted.pop(future)
             try:
-                lines = future.result()
+                results = future.result()
             except KilledWorker:
-                lines = []
-            answers[fmu][run.index] = lines[0] if lines else Line(run.index, status=worker.FAILED)
+                results = []
+            answers[fmu][point.index] = results[0] if results else PointResult(point.index, status=worker.FAILED)
             if len(answers[fmu]) == len(asked[fmu] or ()):
                 got, answers[fmu] = answers[fmu], {}
                 try:
@@ -189,14 +188,14 @@ def _search(
                     submit(fmu)
                 except StopIteration:
                     asked[fmu] = None
-                told(fmu, searches[fmu].ended, spec.trials, searches[fmu].best)
+                trial_ended(fmu, searches[fmu].ended, spec.trials, searches[fmu].best)
     if pressed.is_set():
         client.run(worker.interrupt, token)
-        wait(list(flying), timeout=cluster.PATIENCE)
-    return [one.tuned() for one in searches.values()]
+        wait(list(submitted), timeout=cluster.PATIENCE)
+    return [search.tuned() for search in searches.values()]
 
 
-def _write(folder: Path, spec: Search, tuned: list[Tuned]) -> None:
+def _write(folder: Path, spec: TuneSpec, tuned: list[TunedController]) -> None:
     """A fragment for each controller's experiment, and one for a sweep of all."""
     for one in tuned:
         lines = [
@@ -223,7 +222,7 @@ def _write(folder: Path, spec: Search, tuned: list[Tuned]) -> None:
     )
 
 
-def _objective(spec: Search) -> str:
+def _objective(spec: TuneSpec) -> str:
     return " + ".join(name if w == 1.0 else f"{w:g} {name}" for name, w in spec.objective.items())
 
 
@@ -240,21 +239,3 @@ def _toml(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value)
-
-
-def _compare(
-    path: str | Path,
-    set: Mapping[str, Any] | None,
-    swap: Mapping[str, str] | None,
-    packaging: str,
-    spec: Search,
-    tuned: list[Tuned],
-    note: Callable[[str], None],
-) -> Study:
-    """The sweep of tuned and default parameters on draws that no trial has seen."""
-    both: list[tuple[str, str, dict[str, Any]]] = [(one.fmu, one.fmu, {}) for one in tuned]
-    both += [(f"{one.fmu} tuned", one.fmu, dict(one.parameters)) for one in tuned if one.parameters]
-    titles, fmus, parameters = [b[0] for b in both], [b[1] for b in both], [b[2] for b in both]
-    changed = _replaced(path, set, swap, spec, fmus, parameters, titles)
-    held = {"sweep.draws": spec.held_out, "sweep.skip": spec.draws}
-    return study.prepare(path, {**changed, **held}, swap, packaging, note)

@@ -14,18 +14,20 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ....experiment.tune import Space, TuneSpec
 from ....fmu.fmu import read
-from ..design.matrix import Run
-from ..design.study import Study
-from ..engine.worker import COMPLETED, Line
-from .search import Search
+from ..design.matrix import DesignPoint
+from ..design.prepared import PreparedSweep
+from ..engine.worker import COMPLETED, PointResult
 
 RUNGS = 4  # looks at a trial, at most, before it is complete
 STARTUP = 5  # trials at random before the sampler learns from them
 
+Asking = Generator[list[DesignPoint], dict[int, PointResult], None]  # yields runs, is sent how they ended
+
 
 @dataclass(frozen=True)
-class Tuned:
+class TunedController:
     """What came of one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
 
     fmu: str
@@ -36,23 +38,22 @@ class Tuned:
     pruned: int
 
 
-class Trials:
-    """The study of one controller."""
+class ControllerSearch:
+    """The trials of one controller, a study of optuna's."""
 
     def __init__(
         self,
         optuna: Any,
         storage: Any,
         fmu: str,
-        space: Mapping[str, Mapping[str, Any]],
-        made: Study,
-        spec: Search,
-        note: Callable[[str], None],
+        prepared: PreparedSweep,
+        spec: TuneSpec,
+        report: Callable[[str], None],
     ):
-        self._optuna, self._space, self._spec, self._fmu = optuna, space, spec, fmu
+        self._optuna, self._space, self._spec, self._fmu = optuna, spec.spaces[fmu], spec, fmu
         self._key = f"components.{spec.component}"
-        self._draws = [run.values for run in made.design.runs() if run.values[f"{self._key}.fmu"] == fmu]
-        self._seed = made.design.seed
+        self._draws = [point.values for point in prepared.points if point.values[f"{self._key}.fmu"] == fmu]
+        self._seed = prepared.spec.seed
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # experimental parts of optuna say that they are
             self._study = optuna.create_study(
@@ -68,10 +69,10 @@ class Trials:
             if trial.state == states.WAITING:
                 trial = self._study.ask()
             self._study.tell(trial.number, state=states.FAIL)  # it was interrupted
-        self._defaults = _defaults(made, spec, fmu)
+        self._defaults = _defaults(prepared, self._space, fmu)
         outside = [name for name, value in self._defaults.items() if not _lies_in(self._space[name], value)]
         if outside:
-            note(f"{fmu}: the defaults of {', '.join(outside)} lie outside of what is searched, which begins elsewhere")
+            report(f"{fmu}: the defaults of {', '.join(outside)} lie outside the space, so no trial begins with them")
             self._defaults = {}
 
     @property
@@ -83,7 +84,7 @@ class Trials:
         completed = self._study.get_trials(deepcopy=False, states=self._ended[:1])
         return float(self._study.best_value) if completed else math.nan
 
-    def run(self) -> Generator[list[Run], dict[int, Line], None]:
+    def run(self) -> Asking:
         """Asks for runs, is sent how they ended; returns when all trials have ended."""
         while (number := self.ended) < self._spec.trials:
             # One start for all controllers, and the same one when the study is resumed.
@@ -97,15 +98,19 @@ class Trials:
             parameters = {name: _suggest(trial, name, entry) for name, entry in self._space.items()}
             yield from self._judge(trial, parameters)
 
-    def _judge(self, trial: Any, parameters: dict[str, Any]) -> Generator[list[Run], dict[int, Line], None]:
+    def _judge(self, trial: Any, parameters: dict[str, Any]) -> Asking:
         """Run a trial's draws, rung by rung."""
         values: list[float] = []
         rung = -(-len(self._draws) // RUNGS)
         state = self._optuna.trial.TrialState
         while len(values) < len(self._draws):
             chosen = range(len(values), min(len(values) + rung, len(self._draws)))
-            lines = yield [Run(i, i, {**self._draws[i], f"{self._key}.parameters": parameters}) for i in chosen]
-            values += [self._spec.value(lines[i].metrics) if lines[i].status == COMPLETED else math.nan for i in chosen]
+            results = yield [
+                DesignPoint(i, i, {**self._draws[i], f"{self._key}.parameters": parameters}) for i in chosen
+            ]
+            values += [
+                self._spec.value(results[i].metrics) if results[i].status == COMPLETED else math.nan for i in chosen
+            ]
             if not all(map(math.isfinite, values)):
                 self._study.tell(trial, state=state.PRUNED)
                 return
@@ -115,11 +120,11 @@ class Trials:
                 return
         self._study.tell(trial, math.fsum(values) / len(values))
 
-    def tuned(self) -> Tuned:
+    def tuned(self) -> TunedController:
         complete = self._study.get_trials(deepcopy=False, states=self._ended[:1])
         best = self._study.best_trial if complete else None
         first = next((t for t in complete if self._defaults and t.params == self._defaults), None)
-        return Tuned(
+        return TunedController(
             self._fmu,
             dict(best.params) if best else {},
             float(first.value) if first else math.nan,
@@ -138,16 +143,16 @@ def _suggest(trial: Any, name: str, entry: Mapping[str, Any]) -> Any:
     return trial.suggest_float(name, entry["low"], entry["high"], log=entry["distribution"] == "loguniform")
 
 
-def _defaults(made: Study, spec: Search, fmu: str) -> dict[str, Any]:
+def _defaults(prepared: PreparedSweep, space: Space, fmu: str) -> dict[str, Any]:
     """What the FMU itself has for the parameters that are searched; {} where one of them is no single number."""
-    described = read(made.files[made.fmus[fmu]])
-    found = {}
-    for name, entry in spec.spaces[fmu].items():
+    described = read(prepared.files[prepared.fmus[fmu]])
+    defaults = {}
+    for name, entry in space.items():
         if name not in described.variables:
             return {}
         start = described.variables[name].initial
-        found[name] = int(start) if entry["distribution"] == "integer" else start
-    return found
+        defaults[name] = int(start) if entry["distribution"] == "integer" else start
+    return defaults
 
 
 def _lies_in(entry: Mapping[str, Any], value: Any) -> bool:
