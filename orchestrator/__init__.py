@@ -12,14 +12,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .errors import ExperimentError, FmuError, OrchError, RunError, StoreError
+from .version import __version__
 
 if TYPE_CHECKING:
     from .records.file.run import Run
     from .records.store.folder import open_run
     from .runs.runner import run
 
-__all__ = ["ExperimentError", "FmuError", "OrchError", "Run", "RunError", "StoreError", "open_run", "run"]
-__version__ = "0.1.0"
+__all__ = [
+    "ExperimentError",
+    "FmuError",
+    "OrchError",
+    "Run",
+    "RunError",
+    "StoreError",
+    "__version__",
+    "open_run",
+    "run",
+]
 
 
 def __getattr__(name: str) -> Any:

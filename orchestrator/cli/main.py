@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import click
 
-from .. import __version__
 from ..errors import OrchError
+from ..version import __version__
 from .commands import compare, exchange, models, report, run, store, studies
 from .commands.options import INTERRUPTED
 

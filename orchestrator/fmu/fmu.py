@@ -15,11 +15,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..errors import FmuError
+from ..names import split_axis
 from . import archive as archives
 from . import description as descriptions
 from . import units, variables
 from .units import Unit
-from .variables import Variable, split_axis
+from .variables import Variable
 
 DESCRIPTION = "modelDescription.xml"
 CAPABILITIES = (

@@ -171,12 +171,3 @@ def _limit(variable: Any, which: str, otherwise: float) -> float:
         return float(own if own is not None or variable.declaredType is None else getattr(variable.declaredType, which))
     except (TypeError, ValueError):
         return otherwise
-
-
-def split_axis(name: str) -> tuple[str, str]:
-    """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""
-    if name.endswith("]"):
-        head, _, axis = name[:-1].rpartition("[")
-        return head, axis
-    head, _, axis = name.rpartition(".")
-    return (head, axis) if head else (name, "")

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import OrchError, did_you_mean
-from ..fmu.variables import Variable, split_axis
+from ..fmu.variables import Variable
+from ..names import split_axis
 from ..plan.plan import Component, Plan
 from ..simulation.initialization import initialize
 from ..simulation.system import System

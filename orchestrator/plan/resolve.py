@@ -23,6 +23,7 @@ from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
 from ..instances import live
 from ..mavlink import settings as mavlink
 from ..models import build, catalogue
+from ..names import matches
 from .conversion import between
 from .plan import Component, Connection, Plan
 
@@ -301,12 +302,6 @@ class _Resolver:
         """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
         component = str(signal).partition(".")[0]
         return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
-
-
-def matches(name: str, pattern: str) -> bool:
-    """Whether a signal or the vector it belongs to fits a glob."""
-    vector = name.rpartition(".")[0] if not name.endswith("]") else name.rpartition("[")[0]
-    return name == pattern or fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(vector, pattern)
 
 
 def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None, packaging: str = "auto") -> Plan:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..fmu.variables import split_axis
+from ..names import split_axis
 from .system import System
 
 SHARE = 0.5  # of its component's steps, above which a signal is reported

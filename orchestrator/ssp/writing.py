@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..errors import OrchError
 from ..experiment import toml
 from ..files import replacing
@@ -21,6 +20,7 @@ from ..fmu.fmu import Fmu
 from ..fmu.units import BASE, Unit
 from ..fmu.variables import FLOATS, OBJECTS, TRUTHS, Variable
 from ..plan.plan import Component, Connection, Plan
+from ..version import __version__
 from .names import DESCRIPTION, FMU, NAMESPACES, OSP, OURS, tag
 
 PARAMETERS = "initialValues"  # the name of every component's parameter set: Ecos applies a set by name

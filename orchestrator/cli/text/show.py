@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from ... import metrics
 from ...errors import ExperimentError, OrchError
 from ...fmu.fmu import Fmu
-from ...fmu.variables import split_axis
 from ...metrics import finite
+from ...names import split_axis
 from ...plan.feedthrough import Cycle, cycles
 from ...plan.plan import Plan
 from ...simulation.timing import PHASES

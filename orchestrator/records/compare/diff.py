@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...fmu.variables import split_axis
+from ...names import split_axis
 from ..file.run import Run
 
 MADE = ("versions", "git_commit", "platform")  # beside what the experiment says

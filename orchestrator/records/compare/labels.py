@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ...fmu.variables import split_axis
+from ...names import split_axis
 
 if TYPE_CHECKING:
     from ..file.run import Run

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...fmu.variables import split_axis
+from ...names import split_axis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

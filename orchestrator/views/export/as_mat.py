@@ -15,7 +15,7 @@ from scipy.io import savemat
 from scipy.io.matlab import MatWriteError
 
 from ...errors import StoreError
-from ...fmu.variables import split_axis
+from ...names import split_axis
 from .content import Content, Signal, unique, vectors
 
 LONGEST = 63  # characters of a name in MATLAB

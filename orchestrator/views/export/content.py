@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from ...fmu.variables import split_axis
+from ...names import split_axis
 from ...records.file.run import Run
 
 if TYPE_CHECKING:

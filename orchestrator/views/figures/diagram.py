@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import OrchError
 from ...files import write_text
-from ...fmu.variables import split_axis
+from ...names import split_axis
 
 if TYPE_CHECKING:
     from ...plan.plan import Plan

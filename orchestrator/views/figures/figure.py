@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ...errors import OrchError, StoreError, did_you_mean
-from ...fmu.variables import split_axis
-from ...plan.resolve import matches
+from ...names import matches, split_axis
 from ...records.compare.labels import differences
 from . import overview
 from .panels import GREY, STYLE, Curve, Panel, colour, draw_rows, plain, symbol

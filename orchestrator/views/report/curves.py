@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import metrics
-from ...fmu.variables import split_axis
+from ...names import split_axis
 from ...records.compare.vehicles import AXES, Vehicle
 from .arrays import packed, thin
 from .colours import colours

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...fmu.variables import split_axis
+from ...names import split_axis
 from ...plan.plan import Connection, Plan
 
 Rows = list[tuple[str, ...]]

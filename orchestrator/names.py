@@ -1,0 +1,20 @@
+"""Names of signals: vehicle1.eta is a vector, vehicle1.eta.x one of its axes."""
+
+from __future__ import annotations
+
+import fnmatch
+
+
+def split_axis(name: str) -> tuple[str, str]:
+    """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""
+    if name.endswith("]"):
+        head, _, axis = name[:-1].rpartition("[")
+        return head, axis
+    head, _, axis = name.rpartition(".")
+    return (head, axis) if head else (name, "")
+
+
+def matches(name: str, pattern: str) -> bool:
+    """Whether a signal, or the vector that it belongs to, fits a glob."""
+    vector = name.rpartition(".")[0] if not name.endswith("]") else name.rpartition("[")[0]
+    return name == pattern or fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(vector, pattern)
