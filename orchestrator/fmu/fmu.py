@@ -9,7 +9,7 @@ import re
 import sys
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -33,7 +33,7 @@ CAPABILITIES = (
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fmu:
     """An FMU for co-simulation, of FMI 2.0 or 3.0."""
 
@@ -42,17 +42,18 @@ class Fmu:
     fmi_version: str
     model_name: str
     description: str
-    guid: str
+    guid: str = ""
     model_identifier: str
     tool: str
-    packaging: str  # "python" or "native"
-    once_per_process: bool
-    capabilities: Mapping[str, bool]
+    packaging: str  # "python", "native" or "builtin"
+    once_per_process: bool = False
+    capabilities: Mapping[str, bool] = field(default_factory=dict)
     variables: Mapping[str, Variable]
-    units: Mapping[str, Unit]
-    python_modules: Mapping[str, str]  # {top-level module a Python FMU brings: digest}
-    description_xml: str  # modelDescription.xml
-    initial_dependencies: Mapping[str, tuple[str, ...] | None]  # {output: inputs it depends on in initialization}
+    units: Mapping[str, Unit] = field(default_factory=dict)
+    python_modules: Mapping[str, str] = field(default_factory=dict)  # {top-level module that it brings: digest}
+    description_xml: str = ""  # modelDescription.xml
+    initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    # {output: inputs that it depends on in initialization; None: all}
     internal_step: float | None = None  # s; of FMI 3.0: fixedInternalStepSize
 
     @property
@@ -131,27 +132,27 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         )
     _check_binary(path, names, slave.modelIdentifier, int(version[0]))
     try:
-        found = {variable.name: variable for variable in variables.read(description, structure or {})}
+        scalars = {variable.name: variable for variable in variables.read(description, structure or {})}
     except ValueError as error:
         raise FmuError(f"{path}: {error}") from None
     return Fmu(
-        path,
-        sha256,
-        version,
-        description.modelName,
-        description.description or "",
-        description.guid or description.instantiationToken,
-        slave.modelIdentifier,
-        description.generationTool or "",
-        "python" if "resources/slavemodule.txt" in names else "native",
-        bool(slave.canBeInstantiatedOnlyOncePerProcess),
-        {name: bool(getattr(slave, name)) for name in CAPABILITIES},
-        found,
-        units.defined(description),
-        modules,
-        text,
-        _initial_dependencies(description),
-        float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
+        path=path,
+        sha256=sha256,
+        fmi_version=version,
+        model_name=description.modelName,
+        description=description.description or "",
+        guid=description.guid or description.instantiationToken,
+        model_identifier=slave.modelIdentifier,
+        tool=description.generationTool or "",
+        packaging="python" if "resources/slavemodule.txt" in names else "native",
+        once_per_process=bool(slave.canBeInstantiatedOnlyOncePerProcess),
+        capabilities={name: bool(getattr(slave, name)) for name in CAPABILITIES},
+        variables=scalars,
+        units=units.defined(description),
+        python_modules=modules,
+        description_xml=text,
+        initial_dependencies=_initial_dependencies(description),
+        internal_step=float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
     )
 
 

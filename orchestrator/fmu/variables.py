@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,7 +59,7 @@ ACCESSORS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Variable:
     """One scalar of an FMU: a variable, or an element of an array (`x[1,2]`, numbered from 1)."""
 
@@ -120,17 +120,17 @@ def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
             names = inputs if dependencies is None else [d.name for d in dependencies if d.causality == "input"]
             depends = None if dependencies is None and inputs else tuple(names)
         whole = Variable(
-            v.name,
-            v.valueReference,
-            v.type,
-            TYPES[version][v.type],
-            v.causality or "local",
-            v.unit or (declared.unit if declared is not None else None) or "",
-            v.start,
-            v.description or "",
-            depends,
-            tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
-            (_limit(v, "min", -math.inf), _limit(v, "max", math.inf)),
+            name=v.name,
+            reference=v.valueReference,
+            type=v.type,
+            kind=TYPES[version][v.type],
+            causality=v.causality or "local",
+            unit=v.unit or (declared.unit if declared is not None else None) or "",
+            start=v.start,
+            description=v.description or "",
+            depends=depends,
+            items=tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
+            limits=(_limit(v, "min", -math.inf), _limit(v, "max", math.inf)),
             fixed=v.variability == "constant",
         )
         yield from _elements(whole, v, structure) if v.dimensions else (whole,)
@@ -146,22 +146,7 @@ def _elements(whole: Variable, v: Any, structure: Mapping[str, int]) -> Iterator
     for k, place in enumerate(itertools.product(*(range(1, n + 1) for n in shape))):
         start = starts[k] if k < len(starts) else starts[0] if len(starts) == 1 else None
         name = f"{whole.name}[{','.join(map(str, place))}]"
-        yield Variable(
-            name,
-            whole.reference,
-            whole.type,
-            whole.kind,
-            whole.causality,
-            whole.unit,
-            start,
-            whole.description,
-            whole.depends,
-            whole.items,
-            whole.limits,
-            shape,
-            k,
-            whole.fixed,
-        )
+        yield replace(whole, name=name, start=start, shape=shape, element=k)
 
 
 def _limit(variable: Any, which: str, otherwise: float) -> float:

@@ -6,80 +6,19 @@ What comes from outside is heard once a step, kept with the record where it chan
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import importlib
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FmuError, OrchError, did_you_mean
+from ..errors import OrchError
+from ..fmu.builtin import Builtin, load
 from ..fmu.fmu import Fmu
-from ..fmu.variables import Variable
 from .fmi2 import FATAL, OK, CallFailed, Instance
 from .isolated import STEPPER
 
 Array = NDArray[np.float64]
-
-KNOWN = {
-    "ardupilot_json": "orchestrator.mavlink.components.ardupilot:ArdupilotJson",
-    "mavlink_manual": "orchestrator.mavlink.components.manual:MavlinkManual",
-}
-
-
-class Builtin(Protocol):
-    """A component.  All its variables are reals; vectors below are in the order of `variables`."""
-
-    def __init__(self, name: str, parameters: Mapping[str, Any], context: Mapping[str, Any]) -> None:
-        """context: what the run offers: `interrupted`, and what the links to the world give.  Raises OrchError."""
-
-    @classmethod
-    def variables(cls) -> Sequence[Variable]:
-        """Inputs, outputs and parameters; references count from 0."""
-
-    def start(self, inputs: Array) -> Array:
-        """Outputs at t = 0; may be called several times."""
-
-    def listen(self, t: float, inputs: Array) -> Array:
-        """What the world says at t [s], always as many numbers.  Raises OrchError where it is silent for too long."""
-
-    def step(self, t: float, h: float, inputs: Array, heard: Array) -> Array:
-        """Outputs from t [s] on, and the step to t + h."""
-
-    def close(self) -> None: ...
-
-
-def describe(name: str) -> Fmu:
-    """A builtin as if it were an FMU.  Raises FmuError where there is none of that name."""
-    variables = _load(name).variables()
-    return Fmu(
-        Path(name),
-        hashlib.sha256(f"builtin:{name}".encode()).hexdigest(),
-        "2.0",
-        name,
-        (_load(name).__doc__ or "").partition("\n")[0],
-        "",
-        name,
-        "orch",
-        "builtin",
-        False,
-        {},
-        {v.name: v for v in variables},
-        {},
-        {},
-        "",
-        {},
-    )
-
-
-def _load(name: str) -> type[Builtin]:
-    if name not in KNOWN:
-        raise FmuError(f"no builtin {name!r}{did_you_mean(name, KNOWN)}")
-    module, _, attribute = KNOWN[name].partition(":")
-    found: type[Builtin] = getattr(importlib.import_module(module), attribute)
-    return found
 
 
 class Live(Instance):
@@ -120,7 +59,7 @@ class Live(Instance):
             if self.fmu.variables[name].causality == "input":
                 self._inputs[self._places[self.fmu.variables[name].reference]] = value
         try:
-            self._builtin = _load(self.fmu.model_name)(self.name, parameters, self._context)
+            self._builtin = load(self.fmu.model_name)(self.name, parameters, self._context)
         except OrchError as error:
             raise CallFailed.of(FATAL, str(error)) from None
 

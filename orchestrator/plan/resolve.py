@@ -17,10 +17,10 @@ import numpy as np
 from .. import metrics
 from ..errors import ExperimentError, FmuError, Problem, did_you_mean
 from ..experiment.experiment import ComponentSpec, Experiment
+from ..fmu import builtin
 from ..fmu.fmu import Fmu, read
 from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
-from ..instances import live
 from ..mavlink import settings as mavlink
 from ..models import build, catalogue
 from ..names import matches
@@ -77,7 +77,7 @@ class _Resolver:
         for component in self.experiment.components:
             if component.builtin:
                 try:
-                    self.fmus[component.name] = live.describe(component.builtin)
+                    self.fmus[component.name] = builtin.describe(component.builtin)
                 except FmuError as error:
                     self.problem(f"components.{component.name}.builtin", str(error))
             if not component.fmu:

@@ -84,9 +84,18 @@ class ArdupilotJson:
             *((name, "parameter", unit, start, meaning) for name, (start, unit, meaning) in PARAMETERS.items()),
         ]
         return tuple(
-            Variable(name, reference, "Real", "real", causality, unit, start, meaning, depends)
+            Variable(
+                name=name,
+                reference=reference,
+                type="Real",
+                kind="real",
+                causality=causality,
+                unit=unit,
+                start=start,
+                description=meaning,
+                depends=None if causality == "output" else (),
+            )
             for reference, (name, causality, unit, start, meaning) in enumerate(found)
-            for depends in [None if causality == "output" else ()]
         )
 
     def start(self, inputs: Array) -> Array:

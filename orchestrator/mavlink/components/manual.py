@@ -52,7 +52,16 @@ def _variables() -> tuple[Variable, ...]:
         (LAG[0], "parameter", *LAG[2:3], LAG[1], LAG[3]),
     ]
     return tuple(
-        Variable(name, reference, "Real", "real", causality, unit, start, meaning)
+        Variable(
+            name=name,
+            reference=reference,
+            type="Real",
+            kind="real",
+            causality=causality,
+            unit=unit,
+            start=start,
+            description=meaning,
+        )
         for reference, (name, causality, unit, start, meaning) in enumerate(found)
     )
 
