@@ -14,12 +14,11 @@ from pathlib import Path
 from limit import compile_limit
 from task import Task
 
-from orchestrator.experiment import experiment
 from orchestrator.experiment.timegrid import Grid
 from orchestrator.models.compiler import find
 from orchestrator.plan.plan import Plan
-from orchestrator.plan.resolve import prepare
 from orchestrator.records.file.run import Run
+from orchestrator.runs.prepare import prepare
 
 HERE = Path(__file__).resolve().parent
 EXPERIMENT = HERE.parent / "experiments" / "gripping_currents.toml"
@@ -112,7 +111,7 @@ class Bench:
 
     def _plan(self, packaging: str, h: float, stop_time: float) -> Plan:
         changes = {"master.step": h, "master.stop_time": stop_time}
-        return prepare(experiment.load(self._experiment, changes), _tell, packaging)
+        return prepare(self._experiment, changes, packaging=packaging, report=_tell)
 
     def _task(self, packaging: str, h: float, steps: int) -> Task:
         stride = self._plan(packaging, h, 1.0).stride

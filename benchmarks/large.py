@@ -166,10 +166,9 @@ def _measure(vehicles: int, repeats: int, folder: Path, packaging: str) -> Measu
 def _measure_here(file: Path, began: float, packaging: str) -> None:
     """Run an experiment in this process and print the numbers of `Measured`.  began: when it was started [s]."""
     from orchestrator.errors import OrchError
-    from orchestrator.experiment import experiment
-    from orchestrator.plan import resolve
     from orchestrator.records.file.run import Run
     from orchestrator.runs import runner
+    from orchestrator.runs.prepare import prepare
 
     class FirstRow:
         """Notes when the initial values are there."""
@@ -184,7 +183,7 @@ def _measure_here(file: Path, began: float, packaging: str) -> None:
 
     first_row = FirstRow()
     try:
-        plan = resolve.prepare(experiment.load(file), packaging=packaging)
+        plan = prepare(file, packaging=packaging)
         result = runner.execute(plan, file.with_suffix(".h5"), observers=[first_row])
     except OrchError as error:
         raise SystemExit(str(error)) from None
@@ -231,14 +230,13 @@ def _table(rows: Sequence[Measured], packaging: str) -> str:
 
 def _profile(file: Path, packaging: str) -> None:
     """Print what loading spends its time on: functions by their own time, then by the time within them."""
-    from orchestrator.experiment import experiment
-    from orchestrator.plan import resolve
+    from orchestrator.runs.prepare import prepare
     from orchestrator.simulation.initialization import initialize
     from orchestrator.simulation.system import System
 
     profile = cProfile.Profile()
     with profile:
-        plan = resolve.prepare(experiment.load(file), packaging=packaging)
+        plan = prepare(file, packaging=packaging)
         with System.open(plan) as system:
             initialize(system)
     statistics_of = pstats.Stats(profile).strip_dirs()

@@ -21,10 +21,9 @@ from types import SimpleNamespace
 import pytest
 
 import orchestrator
-from orchestrator.experiment.experiment import load
 from orchestrator.fmu.fmu import platform_folder
 from orchestrator.models import build
-from orchestrator.plan.resolve import prepare
+from orchestrator.runs.prepare import prepare
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 ORCH = shutil.which("orch", path=sysconfig.get_path("scripts")) or "orch"
@@ -125,7 +124,7 @@ def resolve(shipped, write):
     """resolve(dictionary) -> the Plan, as `orch check` finds it, or ExperimentError."""
 
     def find(table, **options):
-        return prepare(load(write(table), **options))
+        return prepare(write(table), **options)
 
     return find
 

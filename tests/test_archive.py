@@ -236,10 +236,9 @@ def test_an_fmu_that_changes_after_it_was_checked_does_not_run(python, trap, wri
     answer = python("""
 import orchestrator as orch
 from pathlib import Path
-from orchestrator.experiment import experiment
-from orchestrator.plan import resolve
 from orchestrator.runs import runner
-plan = resolve.prepare(experiment.load("mine.toml"))
+from orchestrator.runs.prepare import prepare
+plan = prepare("mine.toml")
 Path("trap.fmu").write_bytes(Path("trap.fmu").read_bytes() + b" ")
 try:
     runner.execute(plan)

@@ -19,9 +19,8 @@ from lxml import etree
 
 import orchestrator
 from orchestrator.errors import OrchError
-from orchestrator.experiment.experiment import load
 from orchestrator.fmu.fmu import platform_folder
-from orchestrator.plan.resolve import prepare
+from orchestrator.runs.prepare import prepare
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
@@ -258,9 +257,9 @@ def test_what_lies_between_two_ends_survives(orch, write, tmp_path):
         assert row in found
     orch("export", path, "-o", "system.ssp")
     orch("import", "system.ssp", "-o", "again.toml")
-    digest = prepare(load(path)).digest
-    assert prepare(load(tmp_path / "system.ssp")).digest == digest
-    assert prepare(load(tmp_path / "again.toml")).digest == digest
+    digest = prepare(path).digest
+    assert prepare(tmp_path / "system.ssp").digest == digest
+    assert prepare(tmp_path / "again.toml").digest == digest
     scaled = {
         node.get("endConnector"): [(child.get("factor"), child.get("offset")) for child in node]
         for node in description(tmp_path / "system.ssp").iter(f"{SSD}Connection")
@@ -296,10 +295,10 @@ def test_values_of_fmi_3_survive(orch, write, tmp_path):
     assert_valid(description(tmp_path / "system.ssp"))
     orch("import", "system.ssp", "-o", "again.toml")
     for again in ("system.ssp", "again.toml"):
-        assert prepare(load(tmp_path / again)).resolved["components"][0] | {"fmu": ""} == prepare(load(path)).resolved[
+        assert prepare(tmp_path / again).resolved["components"][0] | {"fmu": ""} == prepare(path).resolved[
             "components"
         ][0] | {"fmu": ""}
-        assert prepare(load(tmp_path / again)).digest == prepare(load(path)).digest
+        assert prepare(tmp_path / again).digest == prepare(path).digest
     again = tomllib.loads((tmp_path / "again.toml").read_text())
     assert (again["components"]["two"]["isolation"], again["components"]["two"]["timeout"]) == ("process", 2.0)
     assert again["connections"]["two.x"] == "one.y"
@@ -312,7 +311,7 @@ def test_two_fmus_of_one_name_stay_two(orch, write, tmp_path):
     parts = {name: {"fmu": str(fmu), "start": "fmu"} for name, fmu in (("a", one), ("b", two), ("c", one))}
     path = write({"master": {"stop_time": 0.05, "step": 0.01}, "components": parts})
     orch("export", path, "-o", "system.ssp")
-    assert prepare(load(tmp_path / "system.ssp")).digest == prepare(load(path)).digest
+    assert prepare(tmp_path / "system.ssp").digest == prepare(path).digest
     assert len([name for name in zipfile.ZipFile(tmp_path / "system.ssp").namelist() if name.endswith(".fmu")]) == 2
 
 
@@ -561,7 +560,7 @@ def test_a_mutated_description_is_read_or_refused_in_words(theirs, tmp_path):
     for _ in range(150):
         broken = rewritten(path, tmp_path / "broken.ssp", **{"SystemStructure.ssd": mutated(text, dice)})
         try:
-            prepare(load(broken))
+            prepare(broken)
         except OrchError:
             refused += 1
     assert 50 < refused < 150

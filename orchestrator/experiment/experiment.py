@@ -92,10 +92,6 @@ def load(path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[s
     Raises ExperimentError where there is no such file or it is no TOML; every other problem is in `.problems`.
     """
     path = Path(path)
-    if path.suffix.lower() == ".ssp":
-        from ..ssp import importing
-
-        return importing.load(path, set, swap)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -22,7 +22,7 @@ from ..fmu.fmu import Fmu, read
 from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
 from ..mavlink import settings as mavlink
-from ..models import build, catalogue
+from ..models import catalogue
 from ..names import matches
 from .conversion import between
 from .plan import Component, Connection, Plan
@@ -302,19 +302,6 @@ class _Resolver:
         """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
         component = str(signal).partition(".")[0]
         return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
-
-
-def prepare(experiment: Experiment, told: Callable[[str], None] = lambda _: None, packaging: str = "auto") -> Plan:
-    """Build what is stale, then resolve.  told: called with what is being built; packaging: as in `build.build`."""
-    known = catalogue.known()
-    named = {c.fmu for c in experiment.components if c.fmu in known}
-    try:
-        built, unbuilt = build.build(sorted(named), told, packaging=packaging), {}
-    except build.BuildError as error:
-        if len(error.reasons) > 1 and len(set(error.reasons.values())) == 1:  # nothing about a component, then
-            raise
-        built, unbuilt = error.built, error.reasons
-    return resolve(experiment, built, unbuilt)
 
 
 def _article(causality: str) -> str:

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 from ..errors import StoreError
 from ..experiment import experiment
-from ..models import build
 from ..plan.plan import Plan
 from ..plan.resolve import resolve
 from ..records.compare.bits import Difference, Kept, compare
@@ -18,13 +17,14 @@ from ..records.file.run import Run
 from . import runner
 from .checkpoint import resume
 from .checkpoint.file import open_checkpoint
+from .prepare import build_models
 
 
 def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     """What a record says that ran, its models built with the packaging they had.
 
-    told: called with what is being built, and with FMUs that are not the same any more.  Raises ExperimentError, or
-    StoreError where an FMU cannot be built as it was, or the checkpoint that it went on from is not there.
+    told: called with what is being built, and with FMUs that are not the same any more.  Raises ExperimentError,
+    BuildError, or StoreError where the record says too little, or the checkpoint that it went on from is missing.
     """
     facts = record.attributes
     missing = [name for name in ("experiment_path", "changes") if name not in facts]
@@ -32,16 +32,8 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
         raise StoreError(f"{record.path} was made by an orch that did not record {' and '.join(missing)}")
     path = Path(facts["experiment_path"])
     loaded = experiment.parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
-    models = [c for c in loaded.components if c.fmu and not c.fmu.endswith(".fmu")]
-    packaging = {c.fmu: record.fact(c.name, "packaging") for c in models}
-    built: dict[str, Path] = {}
-    for kind in sorted(set(packaging.values())):
-        names = sorted(name for name, its in packaging.items() if its == kind)
-        try:
-            built |= build.build(names, told, packaging=kind)
-        except build.BuildError as error:
-            raise StoreError(f"{record.path}: {error}") from None
-    plan = resolve(loaded, built, {})
+    packagings = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if c.fmu}
+    plan = resolve(loaded, *build_models(packagings, told))
     if plan.live:
         plan = dataclasses.replace(plan, created=facts["experiment_resolved"]["created"])
     for component in plan.components:

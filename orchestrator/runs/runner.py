@@ -15,9 +15,7 @@ import h5py
 
 from .. import metrics
 from ..errors import RunError, StoreError
-from ..experiment import experiment as experiments
 from ..plan.plan import Plan
-from ..plan.resolve import prepare
 from ..records.file.access import UNREADABLE, being_written, is_taken
 from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import Recorder
@@ -27,8 +25,9 @@ from ..simulation.initialization import initialize
 from ..simulation.master import Observer, Outcome, interruptible
 from ..simulation.master import run as run_master
 from ..simulation.system import Context, System
-from .checkpoint import resume
 from .checkpoint.observer import Saver, ticks_of
+from .checkpoint.resume import resume
+from .prepare import prepare
 
 
 @dataclass(frozen=True)
@@ -69,12 +68,7 @@ def run(
     Raises ExperimentError where it cannot run, StoreError where a checkpoint cannot be read, RunError, with `.run` open
     on the record, where it fails, and KeyboardInterrupt at Ctrl-C, when the record is closed.
     """
-    if start_from is not None:
-        plan = resume.prepare(start_from, path, set or {}, swap or {}, packaging=packaging)
-    elif path is not None:
-        plan = prepare(experiments.load(path, set, swap), packaging=packaging)
-    else:
-        raise TypeError("give the path of an experiment, or start_from a checkpoint")
+    plan = prepare(path, set, swap, packaging=packaging, start_from=start_from)
     result = execute(plan, output, results, force, checkpoints=ticks_of(plan, checkpoint_at))
     if result.status == "interrupted":
         raise KeyboardInterrupt(f"{result.file}: {result.error}")
@@ -113,7 +107,7 @@ def execute(
             return _recall(run_id, final, plan)
         recorder = Recorder(path, plan, run_id)
         try:
-            begin = partial(resume.resume, plan.origin) if plan.origin else initialize
+            begin = partial(resume, plan.origin) if plan.origin else initialize
             outcome = run_master(system, [recorder, *observers, saver], interrupt, begin)
             outcome.warnings += saver.warnings()
             recorder.flush()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from ...plan.plan import Plan
 
 INTERRUPTED = 130  # exit code
 
@@ -87,17 +90,18 @@ def live_of(
 
 
 def prepared(
-    experiment: str,
+    experiment: str | None,
     sets: tuple[str, ...],
     swaps: tuple[str, ...],
-    told: Callable[[str], None],
+    report: Callable[[str], None],
     packaging: str = "auto",
-) -> Any:
-    from ...experiment.experiment import load
-    from ...plan.resolve import prepare
+    start_from: str | None = None,
+) -> Plan:
+    """The plan that the options ask for."""
+    from ...runs.prepare import prepare
 
-    loaded = load(experiment, pairs("--set", sets), swaps_of(swaps))
-    return prepare(loaded, told, packaging)
+    changes = pairs("--set", sets), swaps_of(swaps)
+    return prepare(experiment, *changes, packaging=packaging, start_from=start_from, report=report)
 
 
 def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:

@@ -16,11 +16,9 @@ from .options import (
     live_of,
     live_options,
     packaging_option,
-    pairs,
     prepared,
     results_option,
     silent,
-    swaps_of,
     tell,
 )
 
@@ -77,12 +75,7 @@ def run(
     told = silent if quiet or as_json else tell
     experiment, asked = live_of("" if experiment is None and start else experiment, **live)
     try:
-        if start is None:
-            plan = prepared(experiment, sets, swaps, told, packaging)
-        else:
-            from ...runs.checkpoint.resume import prepare
-
-            plan = prepare(start, experiment or None, pairs("--set", sets), swaps_of(swaps), told, packaging)
+        plan = prepared(experiment or None, sets, swaps, told, packaging, start)
         ticks = ticks_of(plan, times)
         for note in plan.notes:
             told(f"note: {note}")

@@ -6,72 +6,21 @@ import contextlib
 import json
 import os
 import signal
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import ExperimentError, FmuError, Problem
-from ...experiment import experiment as experiments
-from ...experiment.keys import split_key
 from ...instances.fmi2 import CallFailed
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read, set_up
 from ...simulation.stepper import ComponentFailed, Stepper, failing
-from .file import Checkpoint, open_checkpoint, value_of
+from .file import Checkpoint, value_of
 
 if TYPE_CHECKING:
     from ...plan.plan import Component, Plan
     from ...simulation.system import System
-
-
-def prepare(
-    start: str | Path,
-    path: str | Path | None,
-    set: Mapping[str, Any],
-    swap: Mapping[str, str],
-    told: Callable[[str], None] = lambda _: None,
-    packaging: str = "auto",
-) -> Plan:
-    """The plan of a run that goes on from a checkpoint, its stale models built.
-
-    start: the checkpoint.  path: the experiment; without one, that of the checkpoint, with `set` and `swap` laid over
-    what was laid over it then.  swap: components that begin anew.  packaging: of those; the others keep theirs.
-    Raises StoreError where the checkpoint cannot be read, ExperimentError where the two do not fit.
-    """
-    from ...models import build, catalogue
-    from ...plan.resolve import resolve
-
-    checkpoint = open_checkpoint(start)
-    if path is not None:
-        loaded = experiments.load(path, set, swap)
-    else:
-        about = checkpoint.about
-        kept = {key: value for key, value in about["changes"]["set"].items() if _component_of(key) not in swap}
-        loaded = experiments.parse(
-            Path(about["experiment"]), about["experiment_toml"], {**kept, **set}, {**about["changes"]["swap"], **swap}
-        )
-    known = catalogue.known()
-    packagings = {c.fmu: packaging for c in loaded.components if c.fmu in known}
-    for c in loaded.components:
-        if c.fmu in known and c.name not in swap and c.name in checkpoint.components:
-            packagings[c.fmu] = checkpoint.components[c.name]["packaging"]
-    built: dict[str, Path] = {}
-    unbuilt: dict[str, str] = {}
-    for kind in sorted({*packagings.values()}):
-        try:
-            built |= build.build(sorted(name for name, its in packagings.items() if its == kind), told, packaging=kind)
-        except build.BuildError as error:
-            built |= error.built
-            unbuilt |= error.reasons
-    return attach(resolve(loaded, built, unbuilt), checkpoint, swap)
-
-
-def _component_of(key: str) -> str:
-    """The component that a dotted key is about, or ""."""
-    parts = split_key(key)
-    return parts[1] if len(parts) > 1 and parts[0] == "components" else ""
 
 
 def attach(plan: Plan, checkpoint: Checkpoint, fresh: Iterable[str]) -> Plan:

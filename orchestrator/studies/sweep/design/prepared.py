@@ -11,14 +11,14 @@ from typing import Any
 
 from ....errors import ExperimentError, Problem
 from ....experiment import sweep as sections
-from ....experiment.experiment import Experiment, load, parse
+from ....experiment.experiment import Experiment, parse
 from ....experiment.keys import split_key
 from ....experiment.sweep import SweepSpec
 from ....metrics import smaller_is_better, unit_of
-from ....models import build, catalogue
 from ....plan import resolve
 from ....plan.plan import Plan
 from ....records.compare.side_by_side import Column
+from ....runs.prepare import build_models, load_experiment
 from . import matrix
 from .matrix import DesignPoint, cells_of, labels
 
@@ -123,7 +123,7 @@ def prepare(
     report: called with what is being built.  Raises ExperimentError with the problems of the file and of every
     combination at once.
     """
-    experiment = load(path, set, swap)
+    experiment = load_experiment(path, set, swap)
     if not experiment.sweep:
         missing = f"is missing; say under [sweep.vary] what varies, {sections.SUCH_AS}"
         raise ExperimentError(path, [*experiment.problems, Problem("sweep", missing)])
@@ -191,12 +191,7 @@ def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Call
         sets, swaps = changes(point.values)
         sets, swaps = {**experiment.changes["set"], **sets}, {**experiment.changes["swap"], **swaps}
         experiments.append(parse(experiment.path, experiment.text, sets, swaps))
-    known = catalogue.known()
-    named = sorted({c.fmu for e in experiments for c in e.components if c.fmu in known})
-    try:
-        built, unbuilt = build.build(named, report, packaging=packaging), {}
-    except build.BuildError as error:
-        built, unbuilt = error.built, error.reasons
+    built, unbuilt = build_models({c.fmu: packaging for e in experiments for c in e.components}, report)
     plans: list[Plan] = []
     problems: dict[tuple[str, str], list[str]] = {}  # {key and sentence: the combinations that have it}
     for point, one in zip(points, experiments, strict=True):

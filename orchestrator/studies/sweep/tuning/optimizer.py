@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from ....errors import ExperimentError, OrchError, StoreError
-from ....experiment.experiment import Experiment, load
+from ....experiment.experiment import Experiment
 from ....experiment.sweep import SweepSpec
 from ....experiment.sweep import read as read_sweep
 from ....experiment.tune import Space, TuneSpec
 from ....experiment.tune import read as read_tune
 from ....records.file.provenance import git_commit
+from ....runs.prepare import load_experiment
 from ....simulation.loop import Interrupt
 from ....simulation.master import interruptible
 from ..design.matrix import DesignPoint
@@ -65,7 +66,7 @@ def tune(
     Raises ExperimentError with all problems, OrchError without optuna or Dask.
     """
     _optuna()
-    experiment = load(path, set, swap)
+    experiment = load_experiment(path, set, swap)
     spec, problems = read_tune(experiment.sweep, experiment.metrics)
     if problems:
         raise ExperimentError(path, [*experiment.problems, *(p for p in problems if p not in experiment.problems)])

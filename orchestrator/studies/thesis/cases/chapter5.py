@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ....experiment.experiment import load
 from ....models.catalogue import experiments_folder
 from ....plan.plan import Plan
-from ....plan.resolve import prepare
+from ....runs.prepare import prepare
 
 LABELS = {
     "pid": "PID",
@@ -54,7 +53,7 @@ class Case:
 
     def plan(self) -> Plan:
         """The resolved experiment.  Raises ExperimentError."""
-        return prepare(load(self.path, self.sets))
+        return prepare(self.path, self.sets)
 
     def quick(self) -> Case:
         """The same at a coarser step, where that saves time."""
