@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import fnmatch
 
+ETA_AXES = ("x", "y", "z", "phi", "theta", "psi")  # position in NED and zyx Euler angles
+NU_AXES = ("u", "v", "w", "p", "q", "r")  # velocity in BODY
+
 
 def split_axis(name: str) -> tuple[str, str]:
     """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""

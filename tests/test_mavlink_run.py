@@ -160,13 +160,21 @@ def test_what_cannot_be_is_said_before_anything_starts(orch, tmp_path):
         ({"mavlink.vehicles": {"vehicle": 255}}, "mavlink.vehicles.vehicle", "from 1 to 250"),
         ({"mavlink.origin": {"lat": 95, "lon": 0}}, "mavlink.origin.lat", "from -89 to 89"),
         ({"mavlink.origin": {"lat": 5, "lng": 0}}, "mavlink.origin.lng", "did you mean"),
+        ({"mavlink.vehicles": {"vehicle": 1, "controller": 1}}, "mavlink.vehicles.controller", "1 already"),
+        ({"mavlink.vehicles": 1}, "mavlink.vehicles", "not a table"),
+        ({"mavlink": 1}, "mavlink", "not a table"),
         ({"mavlink.pwm_map": "t200"}, "mavlink.pwm_map", "did you mean 't200_16V'?"),
         ({"mavlink.rates": {"EXTRA1": 900}}, "mavlink.rates.EXTRA1", "0 to 50 Hz"),
     ],
 )
 def test_problems_of_the_table_are_found_at_once_with_what_was_meant(problems, spiral, changes, key, words):
-    found = dict(problems(merged(spiral, changes)))
-    assert words in found[key]
+    assert any(words in what for where, what in problems(merged(spiral, changes)) if where == key)
+
+
+def test_a_component_whose_fmu_cannot_be_read_may_be_a_vehicle(problems, spiral):
+    """Its FMU is the one problem."""
+    changes = {"mavlink.vehicles": {"vehicle": 1}, "components.vehicle.fmu": "missing.fmu", "metrics": {}}
+    assert [key for key, _ in problems(merged(spiral, changes))] == ["components.vehicle.fmu"]
 
 
 def test_system_ids_origin_and_pwm_come_from_the_experiment(run, spiral, write):

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExperimentError, Problem, did_you_mean, no_such_file
-from . import bounds, sweep, tune
+from . import bounds, mavlink, sweep, tune
 from .keys import split_key
 from .timegrid import EXACT, Grid
 
@@ -196,6 +196,7 @@ class _Reader:
             self.problems += sweep.read(swept)[1]
         if "tune" in swept:
             self.problems += tune.read(swept, metrics)[1]
+        self.problems += mavlink.read(self.table(table, "mavlink"), [component.name for component in components])[1]
         return Experiment(
             path,
             text,

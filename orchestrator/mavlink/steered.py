@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ..experiment import mavlink
 from ..plan.plan import Component, Plan
-from .settings import vehicles_of
 from .vehicle.control import Control
-from .vehicle.frame import PWM_MAPS
 from .view import frame_of
 
 MANUAL, ARDUPILOT = "mavlink_manual", "ardupilot_json"
@@ -20,11 +19,12 @@ def context_of(plan: Plan) -> dict[str, dict[str, Any]]:
     Raises OrchError where the vehicle's thrusters are none that ArduSub knows.
     """
     found: dict[str, dict[str, Any]] = {}
+    spec, _ = mavlink.read(plan.experiment.mavlink, [component.name for component in plan.components])
     for component in plan.components:
         if component.live and component.fmu_name == MANUAL:
             found[component.name] = {"control": Control()}
         elif component.live and component.fmu_name == ARDUPILOT and (vehicle := vehicle_of(plan, component)):
-            frame, _ = frame_of(plan, vehicle, plan.experiment.mavlink.get("pwm_map", PWM_MAPS[0]))
+            frame, _ = frame_of(plan, vehicle, spec.pwm_map)
             found[component.name] = {"frame": frame}
     return found
 
@@ -47,10 +47,9 @@ def unheard(plan: Plan) -> list[str]:
 
 def vehicle_of(plan: Plan, component: Component) -> Component | None:
     """The vehicle whose `eta` a component is given."""
-    vehicles = vehicles_of(plan.components)
     sources = [
         connection.source
         for connection in plan.connections
         if connection.sink == component.name and connection.input.name.startswith("eta.")
     ]
-    return next((other for other in plan.components if other.name in sources and other.name in vehicles), None)
+    return next((other for other in plan.components if other.name in sources and other.is_vehicle), None)

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import OrchError, did_you_mean
+from ..errors import ExperimentError, OrchError, Problem, did_you_mean
+from ..experiment import mavlink
+from ..experiment.mavlink import MavlinkSpec
 from ..fmu.variables import Variable
-from ..names import split_axis
+from ..names import ETA_AXES, NU_AXES, split_axis
 from ..plan.plan import Component, Plan
 from ..simulation.initialization import initialize
 from ..simulation.system import System
 from .protocol.links import Endpoint
-from .settings import AXES, BODY, Settings, settings_of
 from .vehicle.autopilot import MODES, Autopilot
 from .vehicle.control import Control
 from .vehicle.frame import Frame
@@ -97,36 +98,48 @@ class View:
             autopilot.show(Sample(t, origin=autopilot.origin, **values), self._due(tick))
 
 
+def spec_of(plan: Plan) -> MavlinkSpec:
+    """The [mavlink] of a plan, with the system ids of the vehicles that are shown.
+
+    Raises ExperimentError where no component is a vehicle.
+    """
+    spec, _ = mavlink.read(plan.experiment.mavlink, [component.name for component in plan.components])
+    spec = spec.showing(component.name for component in plan.components if component.is_vehicle)
+    if not spec.vehicles:
+        what = "no component is a vehicle: none puts out eta.x to eta.psi and nu.u to nu.r"
+        raise ExperimentError(plan.experiment.path, [Problem("mavlink", what)])
+    return spec
+
+
 def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpoint] = ()) -> list[Autopilot]:
     """The vehicles of a plan as autopilots.
 
     endpoints: those for one vehicle.  Raises OrchError where a vehicle cannot be shown as ArduSub, or an endpoint is
     for none.
     """
-    settings = settings_of(plan)
+    spec = spec_of(plan)
     for endpoint in endpoints:
-        if endpoint.system not in settings.vehicles.values():
-            known = [str(system) for system in settings.vehicles.values()]
+        if endpoint.system not in spec.vehicles.values():
+            known = [str(system) for system in spec.vehicles.values()]
             raise OrchError(
                 f"--mavlink {endpoint.text}: no vehicle has the system id {endpoint.system}"
                 f"{did_you_mean(str(endpoint.system), known, 'ids')}"
             )
     components = {component.name: component for component in plan.components}
     return [
-        _autopilot(plan, components[name], system, settings, controls.get(name))
-        for name, system in settings.vehicles.items()
+        _autopilot(plan, components[name], system, spec, controls.get(name)) for name, system in spec.vehicles.items()
     ]
 
 
-def _autopilot(plan: Plan, component: Component, system: int, settings: Settings, control: Control | None) -> Autopilot:
-    frame, max_thrust = frame_of(plan, component, settings.pwm_map)
+def _autopilot(plan: Plan, component: Component, system: int, spec: MavlinkSpec, control: Control | None) -> Autopilot:
+    frame, max_thrust = frame_of(plan, component, spec.pwm_map)
     own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
     guided = bool(_vectors(plan, component.name)["eta_d"].signals)
     autopilot = Autopilot(
         system,
         component.name,
-        Parameters(system, settings.rates, own),
-        settings.origin,
+        Parameters(system, spec.rates, own),
+        spec.origin,
         frame,
         control,
         mode=MODES["POSHOLD" if control else "GUIDED" if guided else "MANUAL"],
@@ -167,21 +180,21 @@ def _vectors(plan: Plan, vehicle: str) -> dict[str, _Vector]:
     commands = [v for v in component.fmu.lookup("u").values() if v.causality == "input" and v.kind == "real"]
     guide = _guide(plan, vehicle)
     return {
-        "eta": _outputs(component, "eta", AXES),
-        "nu": _outputs(component, "nu", BODY),
+        "eta": _outputs(component, "eta", ETA_AXES),
+        "nu": _outputs(component, "nu", NU_AXES),
         "specific_force": _outputs(component, "specific_force", FORCE),
         "u": _arriving(plan, component, commands),
-        "eta_d": _arriving(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in AXES])
+        "eta_d": _arriving(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in ETA_AXES])
         if guide
         else _Vector(values=[np.nan] * 6),
     }
 
 
 def _outputs(component: Component, vector: str, axes: Sequence[str]) -> _Vector:
-    found = component.fmu.lookup(vector)
-    if not all(axis in found and found[axis].causality == "output" for axis in axes):
+    if not component.puts_out(vector, axes):
         return _Vector()
-    return _Vector([(component.name, found[axis]) for axis in axes])
+    variables = component.fmu.lookup(vector)
+    return _Vector([(component.name, variables[axis]) for axis in axes])
 
 
 def _arriving(plan: Plan, component: Component, inputs: Sequence[Variable]) -> _Vector:
@@ -213,7 +226,7 @@ def _guide(plan: Plan, vehicle: str) -> Component | None:
         name = queue.popleft()
         for source in dict.fromkeys(connection.source for connection in plan.connections if connection.sink == name):
             eta_d = components[source].fmu.lookup("eta_d")
-            if set(AXES) <= set(eta_d) and all(v.causality == "input" for v in eta_d.values()):
+            if set(ETA_AXES) <= set(eta_d) and all(v.causality == "input" for v in eta_d.values()):
                 return components[source]
             if source not in seen:
                 seen.add(source)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..experiment.experiment import Experiment
 from ..fmu.fmu import Fmu
 from ..fmu.variables import Variable
+from ..names import ETA_AXES, NU_AXES
 
 if TYPE_CHECKING:
     from ..runs.checkpoint.file import Checkpoint
@@ -30,6 +31,17 @@ class Component:
     isolated: bool = False  # runs in a process of its own
     live: bool = False  # a builtin: what it does depends on the world outside
     timeout: float | None = None  # s of wall time that one of its steps may take, when isolated
+
+    @property
+    def is_vehicle(self) -> bool:
+        """Whether it puts out a whole `eta` and `nu`."""
+        return self.puts_out("eta", ETA_AXES) and self.puts_out("nu", NU_AXES)
+
+    def puts_out(self, vector: str, axes: Iterable[str]) -> bool:
+        """Whether real outputs of the FMU make up the axes of a vector."""
+        variables = self.fmu.lookup(vector)
+        outputs = {axis for axis, v in variables.items() if v.causality == "output" and v.kind == "real"}
+        return outputs.issuperset(axes)
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ import numpy as np
 
 from .. import metrics
 from ..errors import ExperimentError, FmuError, Problem, did_you_mean
+from ..experiment import mavlink
 from ..experiment.experiment import ComponentSpec, Experiment
 from ..fmu import builtin
 from ..fmu.fmu import Fmu, read
 from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
-from ..mavlink import settings as mavlink
 from ..models import catalogue
 from ..names import matches
 from .conversion import between
@@ -63,7 +63,7 @@ class _Resolver:
             self.unconnected(component, driven[component.name])
         recorded = self.recorded()
         self.check_metrics(recorded)
-        self.problems += mavlink.problems(self.experiment.mavlink, self.components, mavlink.vehicles_of(components))
+        self.check_vehicles(components)
         if self.problems:
             raise ExperimentError(self.experiment.path, self.problems)
         now = datetime.datetime.now(datetime.UTC).isoformat() if any(component.live for component in components) else ""
@@ -297,6 +297,15 @@ class _Resolver:
             ends = [end for end in ("signal", "reference") if end in spec and not self.judges(spec[end])]
             found = metrics.problems(f"metrics.{name}", spec, units)
             self.problems += [p for p in found if p.key not in {f"metrics.{name}.{end}" for end in ends}]
+
+    def check_vehicles(self, components: list[Component]) -> None:
+        vehicles = [component.name for component in components if component.is_vehicle]
+        for name in mavlink.read(self.experiment.mavlink, self.components)[0].vehicles:
+            if name in self.fmus and name not in vehicles:
+                near = did_you_mean(name, vehicles, "vehicles")
+                self.problem(
+                    f"mavlink.vehicles.{name}", f"{name!r} is no vehicle: it does not put out eta and nu{near}"
+                )
 
     def judges(self, signal: Any) -> bool:
         """Whether it is known which signals there are of that name: not where its FMU cannot be read."""

@@ -46,9 +46,9 @@ class Live:
                 pacer = Pacer(plan, self.realtime)
                 observers.append(pacer)  # first: the bridge shows what is so now, not what will be
             if self.tlog is not None:
-                from ..mavlink.settings import settings_of
+                from ..mavlink.view import spec_of
 
-                settings_of(plan)  # now rather than after the run
+                spec_of(plan)  # now rather than after the run
             if plan.live:
                 from ..mavlink import steered
 

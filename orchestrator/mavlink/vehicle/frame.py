@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import OrchError, did_you_mean
+from ...experiment.mavlink import PWM_MAPS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,8 +42,6 @@ REST, SPAN = 1500, 400  # us
 T200_DEAD_BAND = (1472.0, 1528.0)  # us
 T200_LIMITS = (-39.9, 51.4)  # N, at 1100 and 1900 us
 T200_LINEAR = 0.2
-
-PWM_MAPS = ("linear", "t200_16V")
 
 
 class Frame:

@@ -10,14 +10,15 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ...errors import OrchError, StoreError
-from ...experiment import experiment
-from ...mavlink.settings import AXES, BODY, Settings, settings_from
+from ...experiment import experiment, mavlink
+from ...experiment.mavlink import MavlinkSpec
 from ...mavlink.tlog import Track
 from ...mavlink.tlog import write as write_log
 from ...mavlink.vehicle.autopilot import MODES, Autopilot
 from ...mavlink.vehicle.frame import Frame
 from ...mavlink.vehicle.parameters import Parameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
+from ...names import ETA_AXES, NU_AXES
 from ...records.compare.vehicles import Vehicle, vehicles
 from ...records.file.run import Run
 from .content import Content
@@ -32,38 +33,39 @@ def write(content: Content, target: Path) -> None:
     if not found:
         raise StoreError(f"{run.path} records no vehicle: no component with eta.x to eta.psi")
     facts = run.attributes
-    table = experiment.parse(
+    read = experiment.parse(
         Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
-    ).mavlink
-    settings = settings_from(table, [name for name in found if _has(run, name, "nu", BODY)])
-    missing = [name for name in settings.vehicles if name not in found or not _has(run, name, "nu", BODY)]
-    if missing or not settings.vehicles:
+    )
+    spec, _ = mavlink.read(read.mavlink, [component.name for component in read.components])
+    spec = spec.showing(name for name in found if _has(run, name, "nu", NU_AXES))
+    missing = [name for name in spec.vehicles if name not in found or not _has(run, name, "nu", NU_AXES)]
+    if missing or not spec.vehicles:
         lacking = " and ".join(f"{name}.nu" for name in missing or found)
         raise StoreError(f"{run.path} does not record {lacking}, which telemetry needs: record it and run again")
-    tracks = [_track(content, found[name], system, settings) for name, system in settings.vehicles.items()]
+    tracks = [_track(content, found[name], system, spec) for name, system in spec.vehicles.items()]
     with target.open("wb") as file:
         write_log(tracks, file)
 
 
-def _track(content: Content, vehicle: Vehicle, system: int, settings: Settings) -> Track:
+def _track(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) -> Track:
     run, name, n = content.run, vehicle.name, len(content.time)
-    eta = np.column_stack([vehicle.eta[axis] for axis in AXES])
-    nu = np.column_stack([run[f"{name}.nu.{axis}"] for axis in BODY])
+    eta = np.column_stack([vehicle.eta[axis] for axis in ETA_AXES])
+    nu = np.column_stack([run[f"{name}.nu.{axis}"] for axis in NU_AXES])
     u = np.column_stack(list(vehicle.u.values())) if vehicle.u else np.zeros((n, 0))
     force = None
     if _has(run, name, "specific_force", FORCE):
         force = np.column_stack([run[f"{name}.specific_force.{axis}"] for axis in FORCE])
-    guided = all(axis in vehicle.eta_d for axis in AXES)
-    eta_d = np.column_stack([vehicle.eta_d[axis] for axis in AXES]) if guided else np.full((n, 6), np.nan)
+    guided = all(axis in vehicle.eta_d for axis in ETA_AXES)
+    eta_d = np.column_stack([vehicle.eta_d[axis] for axis in ETA_AXES]) if guided else np.full((n, 6), np.nan)
 
     def sample(row: int) -> Sample:
         specific_force = gravity_alone(eta[row]) if force is None else force[row]
-        return Sample(float(content.time[row]), eta[row], nu[row], u[row], specific_force, eta_d[row], settings.origin)
+        return Sample(float(content.time[row]), eta[row], nu[row], u[row], specific_force, eta_d[row], spec.origin)
 
-    frame, own = _frame(run, name, settings.pwm_map)
+    frame, own = _frame(run, name, spec.pwm_map)
     mode = MODES["GUIDED" if guided else "MANUAL"]
-    parameters = Parameters(system, settings.rates, own)
-    return Track(Autopilot(system, name, parameters, settings.origin, frame, mode=mode), content.time, sample)
+    parameters = Parameters(system, spec.rates, own)
+    return Track(Autopilot(system, name, parameters, spec.origin, frame, mode=mode), content.time, sample)
 
 
 def _frame(run: Run, component: str, pwm_map: str) -> tuple[Frame | None, dict[str, float]]:
