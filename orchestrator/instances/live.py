@@ -10,15 +10,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Reals
 from ..errors import OrchError
 from ..fmu.builtin import Builtin, load
 from ..fmu.fmu import Fmu
 from .fmi2 import FATAL, OK, CallFailed, Instance
 from .isolated import STEPPER
-
-Array = NDArray[np.float64]
 
 
 class Live(Instance):
@@ -29,12 +27,12 @@ class Live(Instance):
 
     batched = True
 
-    def __init__(self, name: str, fmu: Fmu, context: Mapping[str, Any], replay: tuple[Array, Array] | None):
+    def __init__(self, name: str, fmu: Fmu, context: Mapping[str, Any], replay: tuple[Reals, Reals] | None):
         self.name, self.fmu, self._context, self._replay = name, fmu, context, replay
         self.component = 0
         self.healthy = True
         self._builtin: Builtin | None = None
-        self.heard: list[tuple[float, Array]] = []
+        self.heard: list[tuple[float, Reals]] = []
         self._error = ""
         self._inputs, self._outputs = (
             np.array([v.initial for v in fmu.variables.values() if v.causality == causality], dtype=float)
@@ -119,8 +117,8 @@ class Live(Instance):
             return FATAL
         return self._give()
 
-    def _heard_then(self, t: float) -> Array:
+    def _heard_then(self, t: float) -> Reals:
         assert self._replay is not None
         times, numbers = self._replay
-        found: Array = numbers[max(0, int(np.searchsorted(times, t, side="right")) - 1)]
+        found: Reals = numbers[max(0, int(np.searchsorted(times, t, side="right")) - 1)]
         return found

@@ -51,8 +51,6 @@ class ArdupilotJson:
     {"interrupted": whether the run shall end}.  Raises OrchError where the port cannot be had, or ArduPilot is silent.
     """
 
-    live = True
-
     def __init__(self, name: str, parameters: Mapping[str, Any], context: Mapping[str, Any]) -> None:
         chosen = {key: start for key, (start, *_) in PARAMETERS.items()} | dict(parameters)
         self._name, self._key = name, f"components.{name}.parameters"

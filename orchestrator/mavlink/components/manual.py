@@ -73,8 +73,6 @@ class MavlinkManual:
     no sense.
     """
 
-    live = True
-
     def __init__(self, name: str, parameters: Mapping[str, Any], context: Mapping[str, Any]) -> None:
         chosen = {key: start for key, (start, *_) in SPEEDS.items()} | {LAG[0]: LAG[1]} | dict(parameters)
         for key, value in chosen.items():
