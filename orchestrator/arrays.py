@@ -13,5 +13,6 @@ from numpy.typing import NDArray
 Reals: TypeAlias = NDArray[np.float64]
 Places: TypeAlias = NDArray[np.intp]  # indices into a table, or numbers of rows
 Truths: TypeAlias = NDArray[np.bool_]
+References: TypeAlias = NDArray[np.uint32]  # value references of FMI
 Table: TypeAlias = NDArray[Any]  # values of one kind, of the dtype that fmu.variables.DTYPES has for it
 Tables: TypeAlias = dict[str, Table]  # {kind: values}

@@ -69,8 +69,8 @@ def test_a_python_model_that_fails_is_told_in_its_own_words(run, models, kind, w
         (2, "output y is not finite: nan"),
         (3, "output y is not finite: -inf"),
         (5, 'fmi2Discard: "the step is too large"'),
-        (6, "fmi2Fatal, without a word"),
-        (11, "fmi2Error, without a word"),
+        (6, "fmi2Fatal; the FMU logged no message"),
+        (11, "fmi2Error; the FMU logged no message"),
     ],
 )
 def test_a_c_fmu_that_fails_is_told_in_its_own_words(run, probe, mode, words):

@@ -249,7 +249,7 @@ def test_an_fmu_that_insists_on_event_mode_is_stepped_from_event_to_event(run, s
     ("mode", "words"),
     [
         (2, 'fmi3Error: "the sponge is full: 100 % wet"'),
-        (3, "ended a step early"),
+        (3, "returned early from a step"),
         (4, "output Float32_out is not finite: nan"),
     ],
 )

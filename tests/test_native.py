@@ -11,7 +11,9 @@ from conftest import needs_compiler
 
 from orchestrator.errors import FmuError
 from orchestrator.fmu.fmu import read
-from orchestrator.instances.fmi2 import CallFailed, Instance, Library
+from orchestrator.instances.fmi2 import Fmi2Instance
+from orchestrator.instances.instance import CallFailed
+from orchestrator.instances.library import Library
 from orchestrator.models import build, catalogue
 
 FMUS = sorted(catalogue.shipped())
@@ -36,7 +38,7 @@ class Calls:
     """One instance.  A call that fails raises CallFailed with what the FMU has said."""
 
     def __init__(self, fmu, folder):
-        self.instance, self.variables = Instance("one", Library(fmu, folder)), fmu.variables
+        self.instance, self.variables = Fmi2Instance("one", Library(fmu, folder)), fmu.variables
 
     def __getattr__(self, call):
         return lambda *arguments: self.instance.call(call.removeprefix("fmi2"), *arguments)
@@ -253,7 +255,7 @@ def test_a_call_that_cannot_be_answered_says_why(calls, words):
 def test_another_guid_is_refused_with_both(native, folders):
     fmu = read(native["pid"])
     with pytest.raises(FmuError, match=rf"the GUID old is of another build of the model; this one's is {fmu.guid}"):
-        Instance("one", Library(dataclasses.replace(fmu, guid="old"), folders["pid"]))
+        Fmi2Instance("one", Library(dataclasses.replace(fmu, guid="old"), folders["pid"]))
 
 
 # --- Derivatives ------------------------------------------------------------------------------------------------------

@@ -1,49 +1,50 @@
-"""One instance of an FMU 3.0."""
+"""An instance of an FMU 3.0."""
 
 from __future__ import annotations
 
 import ctypes
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from .fmi2 import DISCARD, ERROR, WARNING, Instance, Library, exchange_strings
+from .instance import DISCARD, ERROR, STEP, WARNING, StepCall, StepFunction
+from .library import Library, LibraryInstance
 from .messages import keep
 
 MOST_UPDATES = 1000  # of discrete states at one event
 BOOL = ctypes.c_bool
 
 
-class Instance3(Instance):
-    """A live FMU 3.0.
+class Fmi3Instance(LibraryInstance):
+    """An FMU 3.0 that runs in this process.
 
     It is asked to handle its events by itself; one that refuses is stepped from event to event in event mode.
-    `_answers`: what a step said: event handling needed, terminate, early return.
+    `_answers`: of the last step: event handling needed, terminate, early return.
     """
 
     version = 3
 
-    def _instantiate(self, library: Library) -> Any:
+    def _instantiate(self, library: Library) -> int | None:
         self._answers = np.zeros(3, dtype=np.bool_)
         self._reached = np.zeros(1)  # s, the time at which the last step ended
         self._event_mode = False
         self._logger = _logger()  # must live as long as the instance
-        component = self._try(library)
-        if component is None and self.fmu.capabilities["hasEventMode"]:
+        handle = self._try(library)
+        if handle is None and self.fmu.capabilities["hasEventMode"]:
             self._event_mode = True
-            component = self._try(library)
-        return component
+            handle = self._try(library)
+        return handle
 
-    def _try(self, library: Library) -> Any:
+    def _try(self, library: Library) -> int | None:
         resources = f"{library.folder / 'resources'}{os.sep}"
         event_mode = BOOL(self._event_mode)
-        instantiate = self.function("fmi3InstantiateCoSimulation")
+        instantiate = library.function("fmi3InstantiateCoSimulation")
         instantiate.restype = ctypes.c_void_p
-        return instantiate(
+        handle: int | None = instantiate(
             self.name.encode(),
             self.fmu.guid.encode(),
             resources.encode(),
@@ -57,6 +58,7 @@ class Instance3(Instance):
             self._logger,
             None,
         )
+        return handle
 
     def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
         structure = {n: v for n, v in values.items() if self.fmu.variables[n].causality == "structuralParameter"}
@@ -79,34 +81,20 @@ class Instance3(Instance):
         if self._event_mode:
             self.check(self._leave_event_mode())
 
-    def exchange(self, verb: str, kind: str, references: Any, buffer: Any) -> Callable[[], Any]:
-        call = partial(
-            self.function(self.accessor(verb, kind)),
-            ctypes.c_void_p(self.component),
-            references.ctypes.data_as(ctypes.c_void_p),
-            ctypes.c_size_t(len(references)),
-        )
-        n = ctypes.c_size_t(len(buffer))
-        if kind == "string":
-            return partial(exchange_strings, call, verb == "Get", buffer, (ctypes.c_char_p * len(buffer))(), (n,))
-        if kind == "binary":
-            return partial(_exchange_binaries, call, verb == "Get", buffer, n)
-        return partial(call, buffer.ctypes.data_as(ctypes.c_void_p), n)
-
-    def stepper(self, h: float) -> Callable[[ctypes.c_double], Any]:
+    def step_call(self, h: float) -> StepCall:
         if self._event_mode:
             return lambda t: self._step_through_events(t.value, t.value + h)
         return partial(self._step, h=h)
 
-    def program(self) -> tuple[Any, ...]:
+    def step_function(self) -> StepFunction:
         if not self._event_mode:
-            return self.version, self.component, self.address("fmi3DoStep"), (self._answers, self._reached)
+            return StepFunction(3, self._handle, self._address("fmi3DoStep"), (self._answers, self._reached))
 
-        def step(component: Any, t: float, h: float, _: int) -> int:
+        def step(handle: int | None, t: float, h: float, _: int) -> int:
             return self._step_through_events(t, t + h)
 
         self._callback = STEP(step)  # must live as long as the loop
-        return 2, self.component, ctypes.cast(self._callback, ctypes.c_void_p).value, None
+        return StepFunction(2, self._handle, ctypes.cast(self._callback, ctypes.c_void_p).value or 0, None)
 
     def wants_to_end(self) -> bool:
         return bool(self._answers[1])
@@ -114,11 +102,11 @@ class Instance3(Instance):
     def has_reached(self, end: float) -> bool:
         return math.isclose(self._reached[0], end, rel_tol=1e-9)
 
-    def _step(self, t: Any, h: float) -> int:
+    def _step(self, t: ctypes.c_double, h: float) -> int:
         answers = self._answers.ctypes.data
         status = int(
             self._function("DoStep")(
-                ctypes.c_void_p(self.component),
+                ctypes.c_void_p(self._handle),
                 t,
                 ctypes.c_double(h),
                 BOOL(True),
@@ -131,7 +119,7 @@ class Instance3(Instance):
         if status <= WARNING and self._answers[1]:
             return DISCARD
         if status <= WARNING and self._answers[2] and not self._event_mode:
-            keep(self._environment, ERROR, b"it ended a step early, which it was not allowed to")
+            keep(self._environment, ERROR, b"it returned early from a step, which it was not allowed to")
             return ERROR
         return status
 
@@ -143,10 +131,10 @@ class Instance3(Instance):
                 return status
             early, reached = bool(self._answers[2]), float(self._reached[0])
             if early and not t <= reached <= end:
-                keep(self._environment, ERROR, f"it ended the step from {t:.10g} s at {reached:.10g} s".encode())
+                keep(self._environment, ERROR, f"its step from {t:.10g} s returned at {reached:.10g} s".encode())
                 return ERROR
             if self._answers[0]:
-                status = self._function("EnterEventMode")(ctypes.c_void_p(self.component))
+                status = self._function("EnterEventMode")(ctypes.c_void_p(self._handle))
                 if status <= WARNING:
                     status = self._leave_event_mode()
                 if status > WARNING:
@@ -157,10 +145,10 @@ class Instance3(Instance):
 
     def _leave_event_mode(self) -> int:
         flags, next_event = (BOOL * 5)(), ctypes.c_double()
-        component, size = ctypes.c_void_p(self.component), ctypes.sizeof(BOOL)
+        handle, size = ctypes.c_void_p(self._handle), ctypes.sizeof(BOOL)
         for _ in range(MOST_UPDATES):
             status = self._function("UpdateDiscreteStates")(
-                component, *(ctypes.byref(flags, i * size) for i in range(5)), ctypes.byref(next_event)
+                handle, *(ctypes.byref(flags, i * size) for i in range(5)), ctypes.byref(next_event)
             )
             if status > WARNING:
                 return int(status)
@@ -168,12 +156,9 @@ class Instance3(Instance):
                 self._answers[1] = True
                 return DISCARD
             if not flags[0]:
-                return int(self._function("EnterStepMode")(component))
+                return int(self._function("EnterStepMode")(handle))
         keep(self._environment, ERROR, f"its discrete states do not settle in {MOST_UPDATES} updates".encode())
         return ERROR
-
-
-STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
 
 
 @cache
@@ -184,16 +169,3 @@ def _logger() -> Any:
         keep(environment, status, message)
 
     return fmi3LogMessageCallback(logger)
-
-
-def _exchange_binaries(call: Any, reads: bool, buffer: Any, n: Any) -> Any:
-    sizes, values = (ctypes.c_size_t * n.value)(), (ctypes.c_void_p * n.value)()
-    if reads:
-        status = call(sizes, values, n)
-        if status <= WARNING:
-            buffer[:] = [ctypes.string_at(v, size) if v else b"" for v, size in zip(values, sizes, strict=True)]
-        return status
-    sizes[:] = [len(value) for value in buffer]
-    kept = [ctypes.create_string_buffer(value, max(1, len(value))) for value in buffer]
-    values[:] = [ctypes.addressof(value) for value in kept]
-    return call(sizes, values, n)

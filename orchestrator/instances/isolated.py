@@ -1,14 +1,13 @@
-"""An instance in a process of its own, over shared memory: one exchange a step, and a crash there is a sentence here.
+"""An instance in a process of its own: a crash there is an error message here, and each step is one exchange.
 
-The process is `child`.  Rare calls go through a connection as (method, arguments).  A step goes through memory: inputs
-and outputs lie in it, and two counters say what is asked for and what is answered.  Whoever waits looks at its counter
-for a while, where there are cores to spare, then sleeps until it is woken.
+The process is `isolated_child`.  Rare calls go through a connection as (method, arguments).  A step goes through shared
+memory: inputs and outputs lie in it, and two counters say what is asked for and what is answered.  Whoever waits looks
+at its counter for a while, where there are cores to spare, then sleeps until it is woken.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import mmap
 import os
@@ -20,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -28,10 +26,11 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import References, Table
 from ..errors import FmuError
 from ..fmu.fmu import Fmu
 from ..fmu.variables import DTYPES, OBJECTS
-from .fmi2 import FATAL, WARNING, CallFailed, Instance
+from .instance import FATAL, WARNING, BatchedInstance, Call, CallFailed, Verb
 
 # Places in the head of the memory, in words of 8 bytes; request and answer each have a cache line of their own.
 REQUEST, SLEEPING_CHILD, TIME, STEP, LEAVING = 0, 1, 2, 3, 4
@@ -48,29 +47,28 @@ SAFE = platform.machine().lower() in ("x86_64", "amd64")  # others may show writ
 class ProcessLost(CallFailed):
     """The process of an instance ended, or does not answer."""
 
+    def __init__(self, message: str):
+        super().__init__(FATAL, message)
 
-class Remote(Instance):
-    """An instance in a child process.  Raises FmuError where it cannot be instantiated.
+
+class IsolatedInstance(BatchedInstance):
+    """An FMU that runs in a child process.  Raises FmuError where it cannot be instantiated.
 
     timeout: s of wall time that a step may take, other calls LONGEST_CALL; spin: whether to look at the counters before
     sleeping; interrupted: whether the user has pressed Ctrl-C.
     """
 
-    batched = True
-    version = 2  # what the loop calls is an FMI 2.0 doStep
-
     def __init__(
         self, name: str, fmu: Fmu, folder: Path, timeout: float | None, spin: bool, interrupted: Callable[[], bool]
     ):
         if not hasattr(os, "fork"):
-            raise FmuError(f"{name!r} cannot run in a process of its own on this system; only POSIX has what it takes")
-        self.name, self.fmu = name, fmu
+            raise FmuError(f"{name!r} cannot run in a process of its own on this system: that needs POSIX")
+        super().__init__(name, fmu)
         self._timeout, self._looks, self._interrupted = timeout, LOOKS if spin and SAFE else 0, interrupted
-        self._messages = deque[str](maxlen=20)
         self._lost = ""
-        self._stepping = self.healthy = False
+        self._stepping = self._healthy = False
         self._asked, self._used = 0, HEAD
-        self._objects: dict[str, list[tuple[int, Any]]] = {"Set": [], "Get": []}
+        self._objects: dict[Verb, list[tuple[int, Table]]] = {"Set": [], "Get": []}
         self._start(HEAD + sum(np.dtype(DTYPES[v.kind]).itemsize + ALIGNMENT for v in fmu.variables.values()))
         try:
             self._request("instantiate", name, fmu, folder)
@@ -80,8 +78,7 @@ class Remote(Instance):
         except FmuError:
             self.close()
             raise
-        self.healthy = True
-        self.component = None
+        self._healthy = True
 
     def _start(self, size: int) -> None:
         folder = "/dev/shm" if os.path.isdir("/dev/shm") else None
@@ -92,7 +89,7 @@ class Remote(Instance):
             self._memory = mmap.mmap(file.fileno(), size)
             descriptors = [there.fileno(), wake_child.fileno(), file.fileno()]
             environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-            self.process = subprocess.Popen(
+            self._process = subprocess.Popen(
                 [
                     sys.executable,
                     "-m",
@@ -110,8 +107,8 @@ class Remote(Instance):
         self._poll = select.poll()
         self._poll.register(self._wake, select.POLLIN)
 
-    def room(self, kind: str, n: int) -> Any:
-        """(n,) values of a kind that both processes see; texts and bytes are sent instead."""
+    def room(self, kind: str, n: int) -> Table:
+        """Both processes see it; texts and bytes are sent instead."""
         if kind in OBJECTS:
             return np.full(n, b"", dtype=object)
         dtype = np.dtype(DTYPES[kind])
@@ -119,7 +116,7 @@ class Remote(Instance):
         self._used = first + n * dtype.itemsize
         return np.frombuffer(self._memory, dtype, n, first)
 
-    def exchange(self, verb: str, kind: str, references: Any, buffer: Any) -> Callable[[], Any]:
+    def exchange(self, verb: Verb, kind: str, references: References, buffer: Table) -> Call:
         place = None
         if kind not in OBJECTS:
             start = np.frombuffer(self._memory, np.uint8).ctypes.data
@@ -146,22 +143,15 @@ class Remote(Instance):
     def save(self) -> bytes:
         return bytes(self._request("instance", "save"))
 
-    def restore(self, content: bytes) -> None:
-        self._request("instance", "restore", content)
-
-    def stepper(self, h: float) -> Callable[[ctypes.c_double], Any]:
-        return lambda t: self._step(None, t.value, h, 1)
-
-    def program(self) -> tuple[Any, ...]:
-        self._callback = STEPPER(self._step)  # must live as long as the loop
-        return self.version, 0, ctypes.cast(self._callback, ctypes.c_void_p).value, None
+    def restore(self, state: bytes) -> None:
+        self._request("instance", "restore", state)
 
     def check(self, status: int) -> None:
         if 0 <= status <= WARNING:
             return
         if self._lost:
-            self.healthy = False
-            raise ProcessLost.of(FATAL, self._lost)
+            self._healthy = False
+            raise ProcessLost(self._lost)
         self._stepping = False  # it waits for calls after a failed step
         self._request("instance", "check", status)
 
@@ -172,24 +162,23 @@ class Remote(Instance):
         return bool(self._request("instance", "has_reached", end))
 
     def take_messages(self) -> list[str]:
-        if self._lost or not self.healthy:
+        if self._lost or not self._healthy:
             return []
         return list(self._request("instance", "take_messages"))
 
     def close(self) -> None:
-        if self.process.poll() is None and not self._lost:
+        if self._process.poll() is None and not self._lost:
             with contextlib.suppress(CallFailed, FmuError):
                 self._request("close")
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(PATIENCE)
-        self.healthy = False
-        self.process.kill()
-        self.process.wait()
+                self._process.wait(PATIENCE)
+        self._healthy = False
+        self._process.kill()
+        self._process.wait()
         self._connection.close()
         self._wake.close()
 
-    def _step(self, component: Any, t: float, h: float, _: int) -> int:
-        """doStep with the setters before and the getters behind it."""
+    def _step(self, handle: int | None, t: float, h: float, _: int) -> int:
         if any(self._objects.values()):
             return self._step_with_objects(t, h)
         words, numbers = self._counters, self._numbers
@@ -235,7 +224,7 @@ class Remote(Instance):
     def _request(self, method: str, *arguments: Any) -> Any:
         """A call through the connection.  Raises ProcessLost, and whatever the call raises there."""
         if self._lost:
-            raise ProcessLost.of(FATAL, self._lost)
+            raise ProcessLost(self._lost)
         if self._stepping:
             self._stepping = False
             self._counters[LEAVING] = 1
@@ -257,7 +246,7 @@ class Remote(Instance):
         wait: float = FIRST_SLEEP
         while not done(wait):
             wait = SLEEP
-            if self.process.poll() is not None and not done(0):
+            if self._process.poll() is not None and not done(0):
                 self._give_up(self._ending())
             if time.monotonic() > deadline:
                 self._give_up(f"it did not answer within {timeout:g} s (timeout); its process was ended")
@@ -265,24 +254,21 @@ class Remote(Instance):
                 self._interrupted, deadline = bool, min(deadline, time.monotonic() + PATIENCE)
                 timeout = PATIENCE
 
-    def _give_up(self, words: str) -> None:
-        self._lost = words
-        self.healthy = False
-        self.process.kill()
-        raise ProcessLost.of(FATAL, words)
+    def _give_up(self, message: str) -> None:
+        self._lost = message
+        self._healthy = False
+        self._process.kill()
+        raise ProcessLost(message)
 
     def _ending(self) -> str:
-        """How the process ended, in words."""
+        """A message: how the process ended."""
         try:
-            code = self.process.wait(PATIENCE)
+            code = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             return "its process has closed its end of the connection"
         if code >= 0:
             return f"its process ended by itself, with exit code {code}"
         return f"its process was ended by signal {-code} ({signal.strsignal(-code)})"
-
-
-STEPPER = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
 
 
 def words_of(memory: mmap.mmap) -> memoryview[int]:

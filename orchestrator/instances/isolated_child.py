@@ -1,4 +1,4 @@
-"""The process of an isolated component: serves one instance to `remote`, which says how they speak."""
+"""The process of an isolated component: serves one instance to `isolated`, where the exchange is described."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import References, Table
 from ..errors import FmuError
 from ..fmu.fmu import Fmu
 from ..fmu.variables import DTYPES, OBJECTS
-from .fmi2 import WARNING, CallFailed, Instance, Library
-from .fmi3 import Instance3
+from . import instantiate
+from .instance import OK, WARNING, Call, CallFailed, Instance, StepCall, Verb
 from .isolated import (
     ANSWER,
     FIRST_SLEEP,
@@ -35,6 +36,7 @@ from .isolated import (
     numbers_of,
     words_of,
 )
+from .library import Library
 
 DEATH_SIGNAL = 1  # of prctl
 
@@ -46,14 +48,14 @@ class Server:
         self._connection, self._wake, self._memory, self._looks = connection, wake, memory, looks
         self._words, self._numbers = words_of(memory), numbers_of(memory)
         self._made: Instance | None = None
-        self._calls: dict[str, list[tuple[Any, Any]]] = {"Set": [], "Get": []}
+        self._calls: dict[Verb, list[tuple[Call, Table]]] = {"Set": [], "Get": []}
         self._answered = 0
         self._poll = select.poll()
         for file in (wake, connection):
             self._poll.register(file, select.POLLIN)
 
     def run(self) -> None:
-        """Answer until the parent says that it is enough, or is gone."""
+        """Answer until the parent asks to close, or is gone."""
         with contextlib.suppress(EOFError, OSError):
             while True:
                 method, arguments = self._connection.recv()
@@ -69,18 +71,18 @@ class Server:
                     return
 
     def instantiate(self, name: str, fmu: Fmu, folder: Path) -> None:
-        self._made = (Instance if fmu.version == 2 else Instance3)(name, Library(fmu, folder))
+        self._made = instantiate(name, Library(fmu, folder))
 
     def instance(self, method: str, *arguments: Any) -> Any:
         return getattr(self._instance, method)(*arguments)
 
-    def wire(self, verb: str, kind: str, references: Any, place: int | None, n: int) -> int:
+    def wire(self, verb: Verb, kind: str, references: References, place: int | None, n: int) -> int:
         """Prepare a getter or setter of values at a place of the memory; returns its number."""
         buffer = np.full(n, b"", object) if place is None else np.frombuffer(self._memory, DTYPES[kind], n, place)
         self._calls[verb].append((self._instance.exchange(verb, kind, references, buffer), buffer))
         return len(self._calls[verb]) - 1
 
-    def call(self, verb: str, index: int, values: list[Any] | None) -> tuple[int, list[Any] | None]:
+    def call(self, verb: Verb, index: int, values: list[Any] | None) -> tuple[int, list[Any] | None]:
         call, buffer = self._calls[verb][index]
         if values is not None:
             buffer[:] = values
@@ -91,7 +93,7 @@ class Server:
         """A step with texts or bytes."""
         for index, values in given.items():
             self._calls["Set"][index][1][:] = values
-        status = self._step(t, h, self._instance.stepper(h))
+        status = self._step(t, self._instance.step_call(h))
         return status, {i: list(b) for i, (_, b) in enumerate(self._calls["Get"]) if b.dtype == DTYPES[OBJECTS[0]]}
 
     def close(self) -> None:
@@ -100,35 +102,34 @@ class Server:
 
     @property
     def _instance(self) -> Instance:
-        assert self._made is not None  # the first that is asked for
+        assert self._made is not None  # by the first request
         return self._made
 
     def serve(self) -> None:
         """Step whenever the parent counts on, until a step fails or something else is asked for."""
         words, numbers = self._words, self._numbers
-        steppers: dict[float, Any] = {}
+        step_calls: dict[float, StepCall] = {}
         while self._await_request():
             self._answered += 1
             h = numbers[STEP]
-            stepper = steppers.get(h) or steppers.setdefault(h, self._instance.stepper(h))
-            words[STATUS] = status = self._step(numbers[TIME], h, stepper)
+            step = step_calls.get(h) or step_calls.setdefault(h, self._instance.step_call(h))
+            words[STATUS] = status = self._step(numbers[TIME], step)
             words[ANSWER] = self._answered
             if words[SLEEPING_PARENT]:
                 self._wake.send(b"!")
             if status > WARNING or status < 0:
                 return
 
-    def _step(self, t: float, h: float, stepper: Any) -> int:
-        status = 0
+    def _step(self, t: float, step: StepCall) -> int:
         for set_, _ in self._calls["Set"]:
             if (status := set_()) > WARNING or status < 0:
-                return int(status)
-        if (status := stepper(ctypes.c_double(t))) > WARNING or status < 0:
-            return int(status)
+                return status
+        if (status := step(ctypes.c_double(t))) > WARNING or status < 0:
+            return status
         for get, _ in self._calls["Get"]:
             if (status := get()) > WARNING or status < 0:
-                return int(status)
-        return 0
+                return status
+        return OK
 
     def _await_request(self) -> bool:
         """Whether there is another step to do."""
@@ -162,7 +163,7 @@ def main() -> None:
         return
     with mmap.mmap(memory, 0) as mapped:
         Server(Connection(connection), socket.socket(fileno=wake), mapped, looks).run()
-        os._exit(0)  # whatever the FMU has left behind is nobody's business
+        os._exit(0)  # without the FMU's own clean-up, which may crash or hang
 
 
 if __name__ == "__main__":

@@ -1,36 +1,33 @@
-"""Components that run inside orch, in place of an FMU: what steers from outside.
+"""Builtins that run: components inside orch, in place of an FMU, that the world outside drives.
 
-What comes from outside is heard once a step, kept with the record where it changes, and can be replayed from there.
+What comes from outside is listened to once a step, kept with the record where it changes, and can be replayed from
+there.
 """
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ..arrays import Reals
+from ..arrays import Places, Reals, References, Table
 from ..errors import OrchError
 from ..fmu.builtin import Builtin, load
 from ..fmu.fmu import Fmu
-from .fmi2 import FATAL, OK, CallFailed, Instance
-from .isolated import STEPPER
+from .instance import FATAL, OK, BatchedInstance, Call, CallFailed, Verb
 
 
-class Live(Instance):
-    """A builtin as the loops step it.  `heard`: (tick of its own, numbers) wherever they change.
+class LiveInstance(BatchedInstance):
+    """A builtin that runs.  `heard`: (t [s], numbers) of its steps, wherever the numbers change.
 
-    replay: what an earlier run heard, (times, numbers); nothing is listened to then.
+    context: what the builtin may need of the run.  replay: what an earlier run heard, (N,) times [s] and (N, m)
+    numbers; nothing is listened to then.
     """
 
-    batched = True
-
     def __init__(self, name: str, fmu: Fmu, context: Mapping[str, Any], replay: tuple[Reals, Reals] | None):
-        self.name, self.fmu, self._context, self._replay = name, fmu, context, replay
-        self.component = 0
-        self.healthy = True
+        super().__init__(name, fmu)
+        self._context, self._replay = context, replay
         self._builtin: Builtin | None = None
         self.heard: list[tuple[float, Reals]] = []
         self._error = ""
@@ -43,13 +40,13 @@ class Live(Instance):
             for causality in ("input", "output")
             for place, v in enumerate(v for v in fmu.variables.values() if v.causality == causality)
         }
-        self._gathered: list[tuple[Any, Any]] = []  # buffer, places in the inputs
-        self._given: list[tuple[Any, Any]] = []  # buffer, places in the outputs
+        self._gathered: list[tuple[Table, Places]] = []  # buffer, places in the inputs
+        self._given: list[tuple[Table, Places]] = []  # buffer, places in the outputs
 
-    def exchange(self, verb: str, kind: str, references: Any, buffer: Any) -> Callable[[], Any]:
+    def exchange(self, verb: Verb, kind: str, references: References, buffer: Table) -> Call:
         places = np.array([self._places[r] for r in references.tolist()], dtype=np.intp)
         (self._gathered if verb == "Set" else self._given).append((buffer, places))
-        return self._take if verb == "Set" else self._begin_again
+        return self._take if verb == "Set" else self._restart
 
     def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
         parameters = {n: v for n, v in values.items() if self.fmu.variables[n].causality == "parameter"}
@@ -59,30 +56,14 @@ class Live(Instance):
         try:
             self._builtin = load(self.fmu.model_name)(self.name, parameters, self._context)
         except OrchError as error:
-            raise CallFailed.of(FATAL, str(error)) from None
+            raise CallFailed(FATAL, str(error)) from None
 
     def begin(self) -> None:
         """Nothing is left to do."""
 
-    def stepper(self, h: float) -> Callable[[ctypes.c_double], Any]:
-        return lambda t: self._step(None, t.value, h, 1)
-
-    def program(self) -> tuple[Any, ...]:
-        self._callback = STEPPER(self._step)  # must live as long as the loop
-        return self.version, 0, ctypes.cast(self._callback, ctypes.c_void_p).value, None
-
     def check(self, status: int) -> None:
         if status != OK:
-            raise CallFailed.of(status, self._error)
-
-    def wants_to_end(self) -> bool:
-        return False
-
-    def has_reached(self, end: float) -> bool:
-        return False
-
-    def take_messages(self) -> list[str]:
-        return []
+            raise CallFailed(status, self._error)
 
     def close(self) -> None:
         if self._builtin is not None:
@@ -99,12 +80,12 @@ class Live(Instance):
             buffer[:] = self._outputs[places]
         return OK
 
-    def _begin_again(self) -> int:
+    def _restart(self) -> int:
         assert self._builtin is not None
         self._outputs[:] = self._builtin.start(self._inputs)
         return self._give()
 
-    def _step(self, component: Any, t: float, h: float, _: int) -> int:
+    def _step(self, handle: int | None, t: float, h: float, _: int) -> int:
         assert self._builtin is not None
         self._take()
         try:
@@ -120,5 +101,5 @@ class Live(Instance):
     def _heard_then(self, t: float) -> Reals:
         assert self._replay is not None
         times, numbers = self._replay
-        found: Reals = numbers[max(0, int(np.searchsorted(times, t, side="right")) - 1)]
-        return found
+        row: Reals = numbers[max(0, int(np.searchsorted(times, t, side="right")) - 1)]
+        return row

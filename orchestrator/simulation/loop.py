@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
-from ..instances.fmi2 import references_of
+from ..instances.instance import Verb, references_of
 from .chatter import Alternations
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Stepper
 from .system import System
@@ -235,9 +235,8 @@ def _program(stepper: Stepper) -> tuple[Any, ...]:
     """A component as `_loop.c` takes it."""
     instance = stepper.instance
 
-    def call(verb: str, kind: str, variables: list[Variable], buffer: Any) -> tuple[Any, ...]:
-        address = 0 if instance.batched else instance.address(instance.accessor(verb, kind))
-        return NUMBERS.index(kind), address, references_of(variables), buffer
+    def call(verb: Verb, kind: str, variables: list[Variable], buffer: Any) -> tuple[Any, ...]:
+        return NUMBERS.index(kind), instance.address(verb, kind), references_of(variables), buffer
 
     sets = [
         (*call("Set", i.kind, i.variables, i.buffer), (i.sources, i.targets), _conversions(i.conversions))
@@ -248,7 +247,7 @@ def _program(stepper: Stepper) -> tuple[Any, ...]:
         [(NUMBERS.index(p.kind), p.buffer, p.chosen, p.targets) for p in stepper.publications if p.moment == moment]
         for moment in (AT_ONCE, TICK_END, PERIOD_END)
     )
-    return (*instance.program(), stepper.h, stepper.component.period, sets, gets, published)
+    return (*instance.step_function(), stepper.h, stepper.component.period, sets, gets, published)
 
 
 def _conversions(conversions: Sequence[Conversion]) -> Any:

@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from ..instances.fmi2 import DISCARD
-from ..instances.live import Live
+from ..instances.instance import DISCARD
+from ..instances.live import LiveInstance
 from .chatter import Alternations
 from .initialization import AlgebraicLoop, initialize
 from .loop import Block, Interrupt, Loop, choose
@@ -102,7 +102,9 @@ def run(
     except AlgebraicLoop as loop:
         outcome.status, outcome.error = "failed", str(loop)
         outcome.failed_at = system.plan.experiment.grid.time(outcome.ticks)
-    outcome.heard = {m.component.name: m.instance.heard for m in system.steppers if isinstance(m.instance, Live)}
+    outcome.heard = {
+        m.component.name: m.instance.heard for m in system.steppers if isinstance(m.instance, LiveInstance)
+    }
     outcome.warnings += [
         f"{stepper.component.name}: {words}"
         for stepper in system.steppers

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from ..fmu.variables import FLOATS, Variable
-from ..instances.fmi2 import CallFailed, Instance, references_of
+from ..instances.instance import CallFailed, Instance, references_of
 from ..plan.plan import Component
 
 AT_ONCE, TICK_END, PERIOD_END = range(3)  # when what a component has computed becomes visible: see `master`
@@ -89,7 +89,7 @@ class Stepper:
     places: Sequence[int] = ()
 
     def __post_init__(self) -> None:
-        self.step = self.instance.stepper(self.h)
+        self.step = self.instance.step_call(self.h)
 
     def reads(self, input: Input, tables: Mapping[str, Any]) -> None:
         """Before each step the values gather in the input's buffer, and go into the FMU.  tables: the outputs."""

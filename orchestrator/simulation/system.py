@@ -17,10 +17,11 @@ import numpy as np
 
 from ..fmu.fmu import Fmu, unpack
 from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
-from ..instances.fmi2 import Instance, Library
-from ..instances.fmi3 import Instance3
-from ..instances.isolated import Remote
-from ..instances.live import Live
+from ..instances import instantiate
+from ..instances.instance import Instance
+from ..instances.isolated import IsolatedInstance
+from ..instances.library import Library
+from ..instances.live import LiveInstance
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Publication, Stepper, failing
@@ -115,7 +116,7 @@ class System:
                 self._shelf.unpack(component.fmu, folders[path])
             if component.live:
                 context = {"interrupted": self._interrupted, **self._context.get(component.name, {})}
-                instance: Instance = Live(component.name, component.fmu, context, context.get("replay"))
+                instance: Instance = LiveInstance(component.name, component.fmu, context, context.get("replay"))
             else:
                 instance = self._instance(component, folders[path], libraries)
             self.steppers.append(Stepper(component, instance, self._step_of(component)))
@@ -126,13 +127,13 @@ class System:
     def _instance(self, component: Component, folder: Path, libraries: dict[Path, Library]) -> Instance:
         path = component.fmu.path
         if component.isolated or _clash(component.fmu):
-            isolated = sum(isinstance(stepper.instance, Remote) for stepper in self.steppers) + 1
+            isolated = sum(isinstance(stepper.instance, IsolatedInstance) for stepper in self.steppers) + 1
             spin = isolated < len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else False
-            return Remote(component.name, component.fmu, folder, component.timeout, spin, self._interrupted)
+            return IsolatedInstance(component.name, component.fmu, folder, component.timeout, spin, self._interrupted)
         if path not in libraries:
             _loaded_modules.update(component.fmu.python_modules)
             libraries[path] = self._shelf.library(component.fmu, folder)
-        return (Instance if component.fmu.version == 2 else Instance3)(component.name, libraries[path])
+        return instantiate(component.name, libraries[path])
 
     def _step_of(self, component: Component) -> float:
         """Of the component [s]."""

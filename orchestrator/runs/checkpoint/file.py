@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import FmuError, StoreError, no_such_file
 from ...fmu.archive import DAMAGED
-from ...instances.fmi2 import CallFailed
+from ...instances.instance import CallFailed
 from ...simulation.stepper import ComponentFailed, Stepper
 
 if TYPE_CHECKING:

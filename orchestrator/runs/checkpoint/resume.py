@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import ExperimentError, FmuError, Problem
-from ...instances.fmi2 import CallFailed
+from ...instances.instance import CallFailed
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read, set_up
 from ...simulation.stepper import ComponentFailed, Stepper, failing
 from .file import Checkpoint, value_of

@@ -15,7 +15,7 @@ from typing import Any
 from ....errors import StoreError
 from ....fmu import fmu as fmus
 from ....fmu.fmu import Fmu
-from ....instances.fmi2 import Library
+from ....instances.library import Library
 from ....instances.scratch import Scratch
 from ....simulation import system
 from .storage import Storage
