@@ -128,7 +128,7 @@ class Bench:
     def _run_orch(self, contender: Contender, task: Task, algorithm: str) -> Measured:
         record = self._folder / "record.h5"
         record.unlink(missing_ok=True)
-        command = [sys.executable, "-m", "orchestrator.cli.main", "run", str(self._experiment), "--quiet"]
+        command = [sys.executable, "-m", "orchestrator.cli", "run", str(self._experiment), "--quiet"]
         command += ["--packaging", contender.packaging, "--output", str(record)]
         for key, value in (("step", task.h), ("stop_time", task.time(task.steps)), ("algorithm", algorithm)):
             command += ["--set", f"master.{key}={json.dumps(value)}"]

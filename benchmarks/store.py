@@ -70,7 +70,7 @@ def fill(store: Path, records: int) -> list[str]:
 
 def measure(store: Path, run_ids: list[str]) -> None:
     """Print seconds of whole processes: the first list, which fills the cache, and the best of the others."""
-    orch = [sys.executable, "-m", "orchestrator.cli.main"]
+    orch = [sys.executable, "-m", "orchestrator.cli"]
 
     def seconds(command: list[str]) -> float:
         words = [word.format(prefix=run_ids[0]) for word in command]

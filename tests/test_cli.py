@@ -8,15 +8,14 @@ import pytest
 from conftest import ORCH, single
 
 import orchestrator
-
-COMMANDS = ("run", "check", "build", "fmus", "plot", "new", "doctor")
+from orchestrator.cli.main import COMMANDS
 
 
 def test_help_shows_every_command_and_examples(orch):
     answer = orch("--help")
     assert answer.code == 0
     for command in COMMANDS:
-        assert f"\n  {command}" in answer.out
+        assert f"\n  {command} " in answer.out
     assert "orch run experiments/gripping_currents.toml\n" in answer.out
 
 
@@ -54,6 +53,25 @@ def test_help_is_there_at_once():
     script = f"import sys, orchestrator.cli.main\nprint({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
+
+
+def test_a_command_imports_its_own_module_only():
+    script = """
+import sys
+from orchestrator.cli.main import execute
+
+execute(["show", "--help"])
+print(sorted(name for name in sys.modules if name.startswith("orchestrator.cli.commands.")))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("['orchestrator.cli.commands.options', 'orchestrator.cli.commands.store']\n")
+
+
+def test_the_package_runs_as_a_command(tmp_path):
+    """As `python -m orchestrator.cli` always did."""
+    done = subprocess.run([sys.executable, "-m", "orchestrator.cli", "runn"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("Usage: orch ")
 
 
 def test_a_check_needs_neither_records_nor_models(write, spiral, python):

@@ -244,7 +244,7 @@ def test_the_sanitizers_find_nothing_in_the_compiled_loop(shipped, spiral, probe
     bad = {**single(probe, mode=2), "record": {"signals": ["!*.words", "!*.text"]}}
     for table, code in ((spiral, 0), (mixed, 0), (bad, 3)):
         path = write(table)
-        command = [sys.executable, "-m", "orchestrator.cli.main", "run", path, "--force"]
+        command = [sys.executable, "-m", "orchestrator.cli", "run", path, "--force"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
         assert "ERROR: AddressSanitizer" not in done.stderr
         assert "runtime error" not in done.stderr

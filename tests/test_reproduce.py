@@ -413,7 +413,7 @@ def alive(pid):
 
 
 def orch_reproduce(*arguments, cwd, **options):
-    command = [sys.executable, "-m", "orchestrator.cli.main", "reproduce", "thesis", *arguments]
+    command = [sys.executable, "-m", "orchestrator.cli", "reproduce", "thesis", *arguments]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 

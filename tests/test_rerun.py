@@ -27,7 +27,7 @@ def elsewhere(tmp_path):
 
     def run(*arguments):
         environment = {**os.environ, "PYTHONPATH": str(tmp_path / "copy"), "ORCH_BUILD": str(tmp_path / "copy/build")}
-        command = [sys.executable, "-m", "orchestrator.cli.main", *map(str, arguments)]
+        command = [sys.executable, "-m", "orchestrator.cli", *map(str, arguments)]
         return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
 
     return run

@@ -1,7 +1,8 @@
-"""The command `orch`.  Each command imports what it needs when it runs, so that `orch --help` is there at once."""
+"""The command `orch`.  A command is imported when it is called and imports what it needs when it runs: help is fast."""
 
 from __future__ import annotations
 
+import importlib
 import io
 import os
 import sys
@@ -12,8 +13,30 @@ import click
 
 from ..errors import OrchError
 from ..version import __version__
-from .commands import compare, exchange, models, report, run, store, studies
 from .commands.options import INTERRUPTED
+
+COMMANDS = {  # name: where it is, module:object of the package `commands`
+    "build": "models:build",
+    "check": "run:check",
+    "compare": "compare:compare",
+    "converge": "studies:converge",
+    "diff": "compare:diff",
+    "doctor": "models:doctor",
+    "export": "exchange:export",
+    "fmus": "models:fmus",
+    "import": "exchange:import_",
+    "list": "store:list_",
+    "new": "models:new",
+    "plot": "report:plot",
+    "prune": "store:prune",
+    "report": "report:report",
+    "reproduce": "studies:reproduce",
+    "rerun": "run:rerun",
+    "run": "run:run",
+    "show": "store:show",
+    "sweep": "studies:sweep",
+    "tune": "studies:tune",
+}
 
 
 def main() -> None:
@@ -55,14 +78,27 @@ def execute(arguments: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
-class _Group(click.Group):
+class LazyGroup(click.Group):
+    """Imports the module of a command when the command, or its line of help, is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module, command = COMMANDS[name].split(":")
+        found: click.Command = getattr(importlib.import_module(f".commands.{module}", __package__), command)
+        return found
+
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The examples as they are written, without wrapping."""
         if self.epilog:
             formatter.write("\n" + self.epilog)
 
 
 @click.group(
-    cls=_Group,
+    cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="""Examples:
   orch run experiments/gripping_currents.toml
@@ -89,14 +125,6 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 
         click.echo(f"orch {__version__}, {'compiled loop' if extension() else 'loop in Python'}")
         ctx.exit()
-
-
-COMMANDS = (run, models, store, compare, exchange, report, studies)
-
-for module in COMMANDS:
-    for command in vars(module).values():
-        if isinstance(command, click.Command):
-            orch.add_command(command)
 
 
 if __name__ == "__main__":

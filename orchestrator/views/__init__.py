@@ -1,0 +1,1 @@
+"""Records for eyes and for other tools: figures, tables, pages, exports."""

@@ -1,0 +1,5 @@
+"""`python -m orchestrator.cli`: the command `orch`."""
+
+from .main import main
+
+main()
