@@ -1,35 +1,66 @@
-"""Files that commands write for a person."""
+"""Files that commands write for a person: looked at before the work begins, replaced once they are whole."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from .errors import StoreError
+from .errors import OrchError, StoreError
+
+
+def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used: Iterable[str | Path] = ()) -> Path:
+    """The file that a command is going to write; checked before the work that it waits for.
+
+    what: "a figure"; suffixes: one of which its name ends in, none allows any; used: files that the command reads, or
+    writes besides.  Raises OrchError for another suffix, StoreError where the file could not be written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise StoreError(f"{path} is a folder; give the name of a file in it")
+    if suffixes and path.suffix.lower() not in suffixes:
+        *others, last = suffixes
+        listed = f"{', '.join(others)} or {last}" if others else last
+        raise OrchError(f"{path}: {what} is a {listed} file; let its name end in {'one of these' if others else last}")
+    if path.resolve() in {Path(file).resolve() for file in used}:
+        raise StoreError(f"{path} is already used by this command; write to another file")
+    if path.exists() and not path.is_file():
+        return path  # a terminal, a pipe
+    folder = path.absolute().parent
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir():
+        raise StoreError(f"{path} cannot be written: {os.path.relpath(folder)} is a file, not a folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise StoreError(f"{path} cannot be written: no permission to write into {os.path.relpath(folder)}")
+    return path
 
 
 def write_text(target: Path, text: str) -> Path:
-    """Write a file, and the folders it lies in.  Raises StoreError."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror}") from None
+    """Write a text as UTF-8, and the folders it lies in.  Raises StoreError; then the file is what it was before."""
+    with replacing(target) as half:
+        half.write_text(text, encoding="utf-8")
     return target
 
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[Path]:
     """A file beside the target, which takes its place once it is written.  Raises StoreError."""
-    half = target.with_name(f"{target.name}.part")
+    if target.exists() and not target.is_file():  # a terminal, a pipe: nothing to replace
+        final = half = target
+    else:
+        final = target.resolve()  # a link stays one
+        half = final.with_name(f"{final.name}.part")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        final.parent.mkdir(parents=True, exist_ok=True)
         yield half
-        half.replace(target)
+        if half != final:
+            half.replace(final)
     except OSError as error:
         reason = error.strerror or str(error).partition("\n")[0]
         raise StoreError(f"{target} cannot be written: {reason}") from None
     finally:
-        with contextlib.suppress(OSError):  # it has its name by now, or never had one
-            half.unlink()
+        if half != final:
+            with contextlib.suppress(OSError):  # it has its name by now, or never had one
+                half.unlink()

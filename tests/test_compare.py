@@ -292,7 +292,7 @@ def test_no_run_is_written_over(compare, store, tmp_path):
     before = path.read_bytes()
     answer = compare("near", "far", "-o", path)
     assert answer.code == 2
-    assert "is one of the runs; write to another file" in answer.err
+    assert "is already used by this command; write to another file" in answer.err
     assert path.read_bytes() == before
     (tmp_path / "file").write_text("")
     answer = compare("near", "-o", tmp_path / "file" / "table.md")

@@ -82,6 +82,6 @@ def test_a_diagram_of_another_kind_is_refused(orch, write, spiral, tmp_path):
     path = write(spiral)
     answer = orch("check", path, "--diagram", "x.png")
     assert (answer.code, answer.out) == (2, "")
-    assert "x.png: a diagram is written as .svg, .mmd or .md (Mermaid)" in answer.err
+    assert "x.png: a diagram is a .svg, .mmd or .md file" in answer.err
     assert orch("check", path, "--diagram", "mine.toml/x.svg").code == 2
     assert list(tmp_path.iterdir()) == [path]

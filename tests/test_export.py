@@ -321,7 +321,7 @@ def test_a_missing_library_is_a_sentence_that_says_what_to_install(orch, mixed, 
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "without")}
     answer = orch("export", mixed.path, "--format", form, "-o", "out", env=environment)
     assert answer.code == 2
-    assert answer.err == f'--format {form} needs {LIBRARIES[form]}, not installed here: pip install "orch[export]"\n'
+    assert answer.err == f'the format {form} needs {LIBRARIES[form]}, not installed here: pip install "orch[export]"\n'
     assert not (tmp_path / "out").exists()
 
 
@@ -329,7 +329,7 @@ def test_the_record_itself_is_never_written_over(orch, mixed, tmp_path):
     before = mixed.path.read_bytes()
     answer = orch("export", mixed.path, "--format", "csv", "-o", mixed.path)
     assert answer.code == 2
-    assert "is the record itself; write to another file" in answer.err
+    assert "is already used by this command; write to another file" in answer.err
     assert mixed.path.read_bytes() == before
 
 

@@ -13,7 +13,7 @@ from conftest import EXPERIMENTS
 import orchestrator
 from orchestrator.errors import OrchError, StoreError
 from orchestrator.records.compare.vehicles import vehicles
-from orchestrator.views.figures.figure import draw
+from orchestrator.views.figures.drawing import draw
 
 SVG = "{http://www.w3.org/2000/svg}"
 ONE = [

@@ -1,11 +1,10 @@
-"""What ties a run to the world outside: the clock on the wall, ground stations, what steers, a telemetry log of it."""
+"""What ties a run to the world outside: the clock on the wall, ground stations, what steers."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from ..plan.plan import Plan
@@ -25,12 +24,11 @@ class Ties:
 
 @dataclass
 class Live:
-    """endpoints: of MAVLink; key: a file; realtime: simulated seconds in a second; tlog: a file to write."""
+    """endpoints: of MAVLink; key: a file; realtime: simulated seconds in a second."""
 
     endpoints: Sequence[str] = ()
     key: str | None = None
     realtime: float | None = None
-    tlog: str | None = None
     notes: list[str] = field(default_factory=list)  # what there is to say
 
     @contextlib.contextmanager
@@ -45,10 +43,6 @@ class Live:
 
                 pacer = Pacer(plan, self.realtime)
                 observers.append(pacer)  # first: the bridge shows what is so now, not what will be
-            if self.tlog is not None:
-                from ..mavlink.view import spec_of
-
-                spec_of(plan)  # now rather than after the run
             if plan.live:
                 from ..mavlink import steered
 
@@ -72,13 +66,3 @@ class Live:
             if pacer and pacer.latest > LATE:
                 behind = f"{pacer.latest:.3g} s behind its pace, {pacer.late:.3g} s at the end"
                 self.notes.append(f"the run was up to {behind}")
-
-    def finish(self, file: Path) -> None:
-        """Write what is made of the record.  Raises OrchError."""
-        if self.tlog is not None:
-            from ..records.file.run import Run
-            from ..views.export import export
-
-            with Run(file) as record:
-                if len(record.time):  # else it failed at once, and has said so
-                    export(record, "tlog", Path(self.tlog))

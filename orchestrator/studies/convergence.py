@@ -19,6 +19,7 @@ from typing import Any
 from ..errors import ExperimentError, OrchError, Problem, RunError
 from ..experiment.timegrid import Grid
 from ..plan.plan import Plan
+from ..views import figures
 
 TOLERANCE = 0.05  # of a metric: an estimated error beyond it means "not converged"
 NOISE = 1e-6  # SI; a metric that is zero but for rounding has no relative error
@@ -121,6 +122,7 @@ def observed_order(steps: tuple[float, float, float], values: tuple[float, float
     return (low + high) / 2
 
 
+@figures.style()
 def draw(study: Study, target: Path) -> Path:
     """Each metric over the step; its limit dashed, the experiment's own step marked.  Returns `target`."""
     from matplotlib.figure import Figure
@@ -139,9 +141,7 @@ def draw(study: Study, target: Path) -> Path:
         axes.tick_params(labelsize=7)
     for axes in figure.axes[len(study.metrics) :]:
         axes.set_visible(False)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(target, dpi=120)
-    return target
+    return figures.save(figure, target)
 
 
 def report(study: Study) -> str:

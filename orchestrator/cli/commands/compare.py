@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -78,33 +80,21 @@ def compare(
         return
     if not runs:
         raise click.UsageError("say which runs, or which --sweep")
-    from ...errors import StoreError
     from ...records.compare import side_by_side as comparing
     from ...records.store.folder import Store
     from ...views.tables import comparison as compare_tables
-    from ..text import show
 
     if signals and not figure:
         raise click.UsageError("--signals says what to draw: give --plot FILE, too")
     paths = comparing.find(Store(results), runs)
-    targets = [Path(name) for name in (output, figure) if name]
-    for target in targets:
-        if target.resolve() in [path.resolve() for path in paths]:
-            raise StoreError(f"{target} is one of the runs; write to another file")
+    table, picture = _targets(output, figure, paths)
     comparison = comparing.compare(paths, globs)
-    form = form or compare_tables.SUFFIXES.get(Path(output or "").suffix.lower(), "table")
-    text = compare_tables.FORMATS[form](comparison)
-    if output:
-        compare_tables.save(Path(output), text)
-    if figure:
-        from ...views.figures import figure as figures
+    text = compare_tables.FORMATS[_form(form, table)](comparison)
+    if picture:
+        from ...views.figures import drawing
 
-        figures.draw_files(paths, Path(figure), signals)
-    if as_json:
-        click.echo(json.dumps(comparing.as_json(comparison)))
-        return
-    lines = [show.short(target) for target in targets] if output else [text, *map(show.short, targets)]
-    click.echo("\n".join(lines))
+        drawing.draw_files(paths, picture, signals)
+    _answer(text, comparing.as_json(comparison), table, picture, as_json)
 
 
 def _compare_sweep(
@@ -120,26 +110,47 @@ def _compare_sweep(
     results: str,
     as_json: bool,
 ) -> None:
-    from ...studies.sweep.engine import table
+    from ...studies.sweep.engine import table as sweeps
     from ...studies.sweep.results import analysis, tables
-    from ...views.tables import comparison as compare_tables
-    from ..text import show
 
-    found = analysis.analyse(table.find(results, sweep), globs, by)
-    form = form or compare_tables.SUFFIXES.get(Path(output or "").suffix.lower(), "table")
-    text = tables.FORMATS[form](found, pairs)
-    if output:
-        compare_tables.save(Path(output), text)
-    if figure:
+    read = sweeps.find(results, sweep)
+    used = [read.storage.local / name for name in (sweeps.TABLE, sweeps.DESCRIPTION)] if read.storage.local else []
+    table, picture = _targets(output, figure, used)
+    found = analysis.analyse(read, globs, by)
+    text = tables.FORMATS[_form(form, table)](found, pairs)
+    if picture:
         from ...studies.sweep.results import figures
 
-        figures.draw(found, Path(figure), kind, over)
+        figures.draw(found, picture, kind, over)
+    _answer(text, analysis.as_json(found), table, picture, as_json)
+
+
+def _targets(output: str | None, figure: str | None, used: Sequence[Path]) -> tuple[Path | None, Path | None]:
+    """The files of --output and --plot."""
+    from ... import files
+    from ...views import figures
+
+    table = files.target(output, used=used) if output else None
+    return table, figures.target(figure, [*used, *([table] if table else [])]) if figure else None
+
+
+def _form(form: str | None, table: Path | None) -> str:
+    from ...views.tables.comparison import SUFFIXES
+
+    return form or SUFFIXES.get(table.suffix.lower() if table else "", "table")
+
+
+def _answer(text: str, data: dict[str, Any], table: Path | None, picture: Path | None, as_json: bool) -> None:
+    """Write or print the text, or print the data."""
+    from ... import files
+    from ...views.tables.terminal import short
+
+    if table:
+        files.write_text(table, f"{text}\n")
     if as_json:
-        click.echo(json.dumps(analysis.as_json(found)))
+        click.echo(json.dumps(data))
         return
-    targets = [Path(name) for name in (output, figure) if name]
-    lines = [show.short(target) for target in targets] if output else [text, *map(show.short, targets)]
-    click.echo("\n".join(lines))
+    click.echo("\n".join([*([] if table else [text]), *(short(target) for target in (table, picture) if target)]))
 
 
 @click.command()

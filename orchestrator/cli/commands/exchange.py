@@ -53,6 +53,7 @@ def export(
     All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
     its rows are written.
     """
+    from ... import files
     from ...records.store.folder import open_run
     from ...views import export as exporting
     from ..text import show
@@ -69,7 +70,7 @@ def export(
     if form is None:
         raise click.UsageError("say which format: --format csv, parquet, mat, netcdf, mcap or tlog")
     with open_run(run, results) as record:
-        target = Path(output) if output else record.path.with_suffix(exporting.FORMATS[form].suffix)
+        target = files.target(output or record.path.with_suffix(exporting.FORMATS[form].suffix), used=[record.path])
         exporting.export(record, form, target)
         if record.status != "completed":
             rows, time = len(record.time), record.time[-1]
@@ -80,17 +81,15 @@ def export(
 def _export_experiment(
     path: str, form: str | None, output: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str
 ) -> None:
-    from ...errors import StoreError
+    from ... import files
     from ...ssp import writing
     from ..text import show
 
     if form != "ssp":
         what = f"--format {form} is for runs" if form else "say which format"
         raise click.UsageError(f"{what}: an experiment becomes an SSP, --format ssp, and a run is named by its id")
+    target = files.target(output or f"{Path(path).stem}.ssp", used=[path])
     plan = prepared(path, sets, swaps, tell, packaging)
-    target = Path(output or f"{Path(path).stem}.ssp")
-    if target.resolve() == Path(path).resolve():
-        raise StoreError(f"{target} is the experiment itself; write to another file")
     for note in [*plan.notes, *writing.limits(plan)]:
         tell(f"note: {note}")
     click.echo(show.short(writing.export(plan, target)))
@@ -109,11 +108,12 @@ def import_(system: str, output: str | None, force: bool) -> None:
 
     Nested systems are flattened.  Of an SSP that orch exported, the experiment is the same: run id, record, metrics.
     """
+    from ... import files
     from ...errors import StoreError
     from ...ssp import importing
     from ..text import show
 
-    target = Path(output or f"{Path(system).stem}.toml")
+    target = files.target(output or f"{Path(system).stem}.toml", "an experiment", (".toml",), [system])
     if target.exists() and not force:
         raise StoreError(f"{target} is there; give -o another name, or --force to write over it")
     imported = importing.convert(Path(system), target)

@@ -40,7 +40,7 @@ def changes_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--mavlink, --mavlink-key, --tlog and --realtime: what ties a run to the world outside."""
+    """--mavlink, --mavlink-key and --realtime: what ties a run to the world outside."""
     options = [
         click.option(
             "--mavlink",
@@ -51,7 +51,6 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "serial:DEVICE:BAUD; 1=... shows only the vehicle with system id 1.  Repeatable.",
         ),
         click.option("--mavlink-key", "key", metavar="FILE", help="Sign, and accept only what is signed."),
-        click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too."),
         click.option(
             "--realtime",
             metavar="[FACTOR]",
@@ -66,7 +65,7 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def live_of(
-    experiment: str | None, endpoints: tuple[str, ...], key: str | None, tlog: str | None, realtime: str | None
+    experiment: str | None, endpoints: tuple[str, ...], key: str | None, realtime: str | None
 ) -> tuple[str, Any]:
     """The experiment, and the options above as a `live.Live`."""
     from ...runs.outside import Live
@@ -86,7 +85,7 @@ def live_of(
         raise click.UsageError("Missing argument 'EXPERIMENT.toml'.")
     if key is not None and not endpoints:
         raise click.UsageError("--mavlink-key is for --mavlink; there is none")
-    return experiment, Live(endpoints, key, factor, tlog)
+    return experiment, Live(endpoints, key, factor)
 
 
 def prepared(

@@ -8,6 +8,8 @@ import click
 
 from .options import results_option
 
+PAGE = "a report", (".html", ".htm")
+
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
@@ -18,13 +20,14 @@ from .options import results_option
 def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], follow: bool, results: str) -> None:
     """Draw runs: tracks, positions, errors, thrusters.  RUN: an id, a prefix of one, a file, or "last"."""
     from ...records.store.folder import Store
-    from ...views.figures import figure
+    from ...views import figures
+    from ...views.figures import drawing
     from ..text import show
 
     store = Store(results)
     paths = [store.find(name) for name in runs]
-    target = Path(output) if output else paths[0].with_suffix(".png")
-    for drawn in figure.following(paths, target, signals) if follow else [figure.draw_files(paths, target, signals)]:
+    target = figures.target(output or paths[0].with_suffix(".png"), paths)
+    for drawn in drawing.following(paths, target, signals) if follow else [drawing.draw_files(paths, target, signals)]:
         click.echo(f"{show.short(target)}: t = {drawn.time:.6g} s" if drawn.running else show.short(target))
 
 
@@ -35,6 +38,7 @@ def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], fo
 @results_option
 def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results: str) -> None:
     """Write runs as one HTML page: replay, plots, metrics.  RUN: an id, a prefix of one, a file, or "last"."""
+    from ... import files
     from ..text import show
 
     if sweep is not None:
@@ -44,8 +48,7 @@ def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results
         from ...studies.sweep.results import analysis, page
 
         found = table.find(results, sweep)
-        local = found.storage.local or Path()
-        target = Path(output) if output else local / "report.html"
+        target = files.target(output or (found.storage.local or Path()) / "report.html", *PAGE)
         click.echo(show.short(page.write(analysis.analyse(found), target)))
         return
     if not runs:
@@ -54,6 +57,6 @@ def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results
     from ...views.report.page import write
 
     store = Store(results)
-    records = [open_run(store.find(name)) for name in runs]
-    target = Path(output) if output else records[0].path.with_suffix(".html")
-    click.echo(show.short(write(records, target)))
+    paths = [store.find(name) for name in runs]
+    target = files.target(output or paths[0].with_suffix(".html"), *PAGE, used=paths)
+    click.echo(show.short(write([open_run(path) for path in paths], target)))

@@ -49,6 +49,7 @@ Examples:
     help="Save the run at T seconds, beside its record.  Repeatable.",
 )
 @click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names begins anew.")
+@click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @live_options
 @json_option
@@ -62,20 +63,34 @@ def run(
     force: bool,
     times: tuple[float, ...],
     start: str | None,
+    tlog: str | None,
     quiet: bool,
     as_json: bool,
     **live: Any,
 ) -> int:
     """Run an experiment, or a SYSTEM.ssp, and record it."""
+    from ... import files
+    from ...records.file.run import Run
     from ...runs.checkpoint.observer import ticks_of
     from ...runs.progress import Progress
     from ...runs.runner import execute
+    from ...views import export as exporting
     from ..text import show
 
     told = silent if quiet or as_json else tell
     experiment, asked = live_of("" if experiment is None and start else experiment, **live)
+    used = [file for file in (experiment, start) if file]
     try:
+        if output is not None:
+            files.target(output, used=used)
+        if tlog is not None:
+            exporting.require("tlog")
+            files.target(tlog, used=[*used, *([output] if output else [])])
         plan = prepared(experiment or None, sets, swaps, told, packaging, start)
+        if tlog is not None:
+            from ...mavlink.view import spec_of
+
+            spec_of(plan)  # its problems are known before the run
         ticks = ticks_of(plan, times)
         for note in plan.notes:
             told(f"note: {note}")
@@ -103,7 +118,10 @@ def run(
         click.echo(f"{result.file}: {result.error}", err=True)
     if result.last_inputs:
         told(show.last_inputs(result))
-    asked.finish(result.file)
+    if tlog is not None:
+        with Run(result.file) as record:
+            if len(record.time):  # else the run failed at once, which is reported above
+                exporting.export(record, "tlog", Path(tlog))
     if result.status == "completed":
         return 0
     return 3 if result.status == "failed" else INTERRUPTED
@@ -173,9 +191,12 @@ def check(
     orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
     orch check system.ssp
     """
+    from ... import files
+    from ...views.figures.diagram import FORMS, draw
     from ..text import show
 
     told = silent if as_json else tell
+    target = files.target(diagram, "a diagram", tuple(FORMS), [experiment]) if diagram is not None else None
     try:
         plan = prepared(experiment, sets, swaps, told, packaging)
         if load:
@@ -187,12 +208,10 @@ def check(
         if as_json:
             click.echo(json.dumps(show.problems_as_json(error)))
         raise
-    if diagram is not None:
-        from ...views.figures.diagram import write
-
-        write(plan, Path(diagram))
+    if target is not None:
+        draw(plan, target)
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
     if load:
         told("every FMU was loaded and initialized")
-    if diagram is not None and not as_json:
-        click.echo(f"\n{show.short(Path(diagram))}")
+    if target is not None and not as_json:
+        click.echo(f"\n{show.short(target)}")

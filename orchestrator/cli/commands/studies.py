@@ -45,8 +45,10 @@ def converge(
     """
     from ... import metrics
     from ...studies import convergence as study
+    from ...views import figures
     from ..text import show
 
+    target = figures.target(output or Path(results) / "_converge" / f"{Path(experiment).stem}.png", [experiment])
     plan = prepared(experiment, sets, swaps, silent if as_json else tell)
     try:
         chosen = [float(step) for step in steps.split(",")] if steps else study.default_steps(plan)
@@ -57,8 +59,8 @@ def converge(
     units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
     names = {name: metrics.unit_of(spec, units) for name, spec in plan.experiment.metrics.items()}
     found = study.study(plan, chosen, arguments, names, silent if as_json else tell)
-    figure = study.draw(found, Path(output) if output else Path(results) / "_converge" / f"{found.experiment}.png")
-    click.echo(json.dumps(study.as_json(found)) if as_json else f"{study.report(found)}\n{show.short(figure)}")
+    study.draw(found, target)
+    click.echo(json.dumps(study.as_json(found)) if as_json else f"{study.report(found)}\n{show.short(target)}")
     return 0 if found.converged else 1
 
 

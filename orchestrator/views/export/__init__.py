@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ... import files
 from ...errors import OrchError, StoreError
-from ...files import replacing
 
 if TYPE_CHECKING:
     from ...records.file.run import Run
@@ -44,30 +44,34 @@ def named_by(target: Path) -> str | None:
     return next((name for name, form in FORMATS.items() if form.suffix == target.suffix.lower()), None)
 
 
+def require(form: str) -> None:
+    """Raises OrchError where a library that writes this format is not installed."""
+    missing = [library for library in FORMATS[form].needs if not _is_installed(library)]
+    if missing:
+        libraries = " and ".join(missing)
+        remedy = f'pip install "orch[{FORMATS[form].extra}]"'
+        raise OrchError(f"the format {form} needs {libraries}, not installed here: {remedy}")
+
+
 def export(run: Run, form: str, target: Path) -> Path:
     """Write a run's rows in a format, a key of FORMATS.
 
     Raises OrchError where a library is missing, StoreError where there is no row, the format cannot hold the rows, or
     the file cannot be written; then there is no file, or what it was before.
     """
-    missing = [library for library in FORMATS[form].needs if not _is_there(library)]
-    if missing:
-        libraries = " and ".join(missing)
-        remedy = f'pip install "orch[{FORMATS[form].extra}]"'
-        raise OrchError(f"--format {form} needs {libraries}, not installed here: {remedy}")
-    if target.resolve() == run.path.resolve():
-        raise StoreError(f"{target} is the record itself; write to another file")
+    require(form)
+    files.target(target, used=[run.path])
     if not len(run.time):
         raise StoreError(f"{run.path} holds no row: there is nothing to export")
     from .content import read
 
     write: Callable[[Content, Path], None] = importlib.import_module(f".as_{form}", __name__).write
-    with replacing(target) as half:
+    with files.replacing(target) as half:
         write(read(run), half)
     return target
 
 
-def _is_there(library: str) -> bool:
+def _is_installed(library: str) -> bool:
     try:
         importlib.import_module(library)
     except ImportError:

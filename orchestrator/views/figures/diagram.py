@@ -13,7 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...errors import OrchError
 from ...files import write_text
 from ...names import split_axis
 
@@ -57,13 +56,9 @@ def diagram(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
     return _Drawing(fmus, arrows, columns).svg()
 
 
-def write(plan: Plan, target: Path) -> Path:
-    """Draw a plan into FILE.svg, FILE.mmd or FILE.md (Mermaid).  Raises OrchError for another name or a full disk."""
-    forms = {".svg": _standalone, ".mmd": mermaid, ".md": lambda *system: f"```mermaid\n{mermaid(*system)}```\n"}
-    if target.suffix.lower() not in forms:
-        raise OrchError(f"{target}: a diagram is written as .svg, .mmd or .md (Mermaid)")
-    text = forms[target.suffix.lower()](plan.resolved, feedback(plan))
-    return write_text(target, text)
+def draw(plan: Plan, target: Path) -> Path:
+    """Draw a plan into a file whose suffix is in FORMS.  Raises StoreError where it cannot be written."""
+    return write_text(target, FORMS[target.suffix.lower()](plan.resolved, feedback(plan)))
 
 
 def feedback(plan: Plan) -> set[str]:
@@ -90,6 +85,13 @@ def _standalone(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
     svg = diagram(resolved, vehicles)
     head, _, rest = svg.partition(">")
     return f'{head} xmlns="http://www.w3.org/2000/svg"><style>{STYLE}</style>{rest}\n'
+
+
+def _fenced(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
+    return f"```mermaid\n{mermaid(resolved, vehicles)}```\n"
+
+
+FORMS = {".svg": _standalone, ".mmd": mermaid, ".md": _fenced}
 
 
 def _node(name: str) -> str:

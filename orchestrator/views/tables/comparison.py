@@ -10,9 +10,7 @@ import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from ...errors import StoreError
 from ...records.compare.side_by_side import Comparison, digits
 from . import latex
 
@@ -199,12 +197,3 @@ def _latex_cell(cell: Cell) -> str:
 
 FORMATS = {"table": table, "markdown": markdown, "csv": csv_text, "latex": latex_text}
 SUFFIXES = {".md": "markdown", ".csv": "csv", ".tex": "latex"}
-
-
-def save(target: Path, text: str) -> None:
-    """Raises StoreError where the file cannot be written."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written: {error.strerror}") from None

@@ -12,6 +12,7 @@ import numpy as np
 
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
+from ....views import figures
 from ..engine.table import SweepTable
 from .analysis import SweepAnalysis
 
@@ -29,14 +30,10 @@ def draw(analysis: SweepAnalysis, target: Path, kind: str = "box", over: Sequenc
 
     Raises StoreError where the file cannot be written, or a factor is none.
     """
-    found = figure(analysis, kind, over)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        found.savefig(target, dpi=150)
-    except (OSError, ValueError) as error:  # ValueError: an ending that matplotlib does not know
-        raise StoreError(f"{target} cannot be written: {error}") from None
+    figures.save(figure(analysis, kind, over), target)
 
 
+@figures.style()
 def figure(analysis: SweepAnalysis, kind: str = "box", over: Sequence[str] = ()) -> Figure:
     """The figure of `draw`."""
     from matplotlib.figure import Figure

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from html import escape
 from importlib import resources
 from pathlib import Path
 
 from ....files import write_text
+from ....views.figures import svg
 from . import figures as plots
 from . import tables
 from .analysis import SweepAnalysis
@@ -67,11 +67,4 @@ def write(analysis: SweepAnalysis, target: Path) -> Path:
 
 
 def _svg(analysis: SweepAnalysis, kind: str) -> str:
-    import matplotlib
-
-    stream = io.StringIO()
-    # Same sweep, same bytes: no random ids, no date.
-    with matplotlib.rc_context({"svg.hashsalt": f"{analysis.table.sweep_id}{kind}"}):
-        plots.figure(analysis, kind).savefig(stream, format="svg", metadata={"Date": None})
-    text = stream.getvalue()
-    return text[text.index("<svg") :]
+    return svg(plots.figure(analysis, kind), f"{analysis.table.sweep_id}{kind}")

@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
 from ....records.file.run import Run
-from ....views.figures.panels import DENSE, DESIRED, OKABE_ITO, STYLE, Curve, Panel, draw_rows, symbol
+from ....views import figures
+from ....views.figures.panels import DENSE, DESIRED, OKABE_ITO, Curve, Panel, draw_rows, symbol
 from ..cases import signals
 from ..cases.chapter5 import CASES
 from ..cases.signals import Array, Track
@@ -27,7 +27,6 @@ from ..published.steps import STUDIED, STUDY_STEM
 from .figures import FIGURES, Figure
 
 DPI = 130
-METADATA: dict[str, dict[str, Any]] = {"png": {}, "pdf": {"CreationDate": None}}  # no dates: the same bytes again
 QUANTITIES = {  # Track's attributes, columns, names, units, least extent
     "position": ("eta", "eta_d", 0, ("x", "y", "z"), "m", 0.1),
     "attitude": ("eta", "eta_d", 3, ("phi", "theta", "psi"), "deg", 0.5),
@@ -64,23 +63,19 @@ def _tracks(case: str, record: str) -> list[Track]:
 
 def write(drawn: Canvas, stem: Path) -> None:
     """Write a figure as .png and .pdf."""
-    with matplotlib.rc_context():
-        _style()
-        for form, metadata in METADATA.items():
-            drawn.savefig(stem.with_suffix(f".{form}"), format=form, dpi=DPI, metadata=metadata)
+    for suffix in (".png", ".pdf"):
+        figures.save(drawn, stem.with_suffix(suffix), DPI)
 
 
 def canvas(figure: Figure, tracks: Tracks) -> Canvas:
     """Draw one figure.  tracks: {case: its vehicles}."""
-    with matplotlib.rc_context():
-        _style()
+    with figures.style():
         return KINDS[figure.kind](figure, tracks)
 
 
 def study_canvas(rows: list[dict[str, Any]]) -> Canvas:
     """The step study: each cell of the tables over the communication step.  rows: as thesis_steps.rows gives them."""
-    with matplotlib.rc_context():
-        _style()
+    with figures.style():
         drawn = Canvas(figsize=(9.0, 9.0), layout="constrained")
         axes = drawn.subplots(4, 3, sharex=True)
         keys = []
@@ -107,11 +102,6 @@ def study_canvas(rows: list[dict[str, Any]]) -> Canvas:
         keys.append(Line2D([], [], label="published", **DESIRED))
         drawn.legend(handles=keys, loc="outside upper center", ncols=3)
         return drawn
-
-
-def _style() -> None:
-    matplotlib.rcdefaults()
-    matplotlib.rcParams.update(STYLE)
 
 
 def _states(figure: Figure, tracks: Tracks) -> Canvas:

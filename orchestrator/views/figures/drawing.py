@@ -10,30 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ...errors import OrchError, StoreError, did_you_mean
+from ...errors import StoreError, did_you_mean
 from ...names import matches, split_axis
 from ...records.compare.labels import differences
+from .. import figures
 from . import overview
-from .panels import GREY, STYLE, Curve, Panel, colour, draw_rows, plain, symbol
+from .panels import GREY, Curve, Panel, colour, draw_rows, plain, symbol
 
 if TYPE_CHECKING:
     from ...records.file.run import Run
 
-OPTIONS: dict[str, dict[str, Any]] = {  # no dates: the same figure is the same bytes
-    "png": {"pil_kwargs": {"optimize": True}},
-    "pdf": {"metadata": {"CreationDate": None}},
-    "svg": {"metadata": {"Date": None}},
-}
 ANGLES = ("rad", "rad/s", "rad/s2")  # drawn in degrees
 WIDTH = 10.0  # inches
 LEFT = 0.012  # where the title begins, of the width
 LINE = 0.195  # inches, of a legend
-DPI = 150  # of a PNG; sharp on a page of 800 to 900 pixels, also where a pixel is two
 TRACKS = 4.3  # inches, the height of the chart with its labels
 MAX_PANELS = 200  # of one figure; matplotlib's images end at 65 536 pixels
 
@@ -45,22 +39,12 @@ def draw(runs: Sequence[Run], target: Path, signals: Sequence[str] = ()) -> Path
     of the vehicles or, where there is no vehicle, all signals.
     Raises OrchError for another suffix, StoreError where there is nothing to draw or the file cannot be written.
     """
-    form = target.suffix.lower().removeprefix(".")
-    if form not in OPTIONS:
-        raise OrchError(f"{target}: a figure is a .png, .pdf or .svg file; let its name end in one of these")
+    figures.target(target, [run.path for run in runs])
     for run in runs:
         if not len(run.time):
             raise StoreError(f"{run.path} holds no row yet: there is nothing to plot")
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
-        figure = _figure(runs, signals)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            figure.savefig(target, format=form, dpi=DPI, **OPTIONS[form])
-        except OSError as error:
-            raise StoreError(f"{target} cannot be written: {error.strerror}") from None
-    return target
+    with figures.style():
+        return figures.save(_figure(runs, signals), target)
 
 
 @dataclass(frozen=True)
