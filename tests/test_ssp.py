@@ -154,7 +154,7 @@ def test_the_same_experiment_gives_the_same_bytes(orch, write, spiral, tmp_path)
         (["mine.toml"], "say which format"),
         (["last", "--format", "ssp"], "last is a run, SSP is for experiments"),
         (["last", "--format", "csv", "--set", "a=1"], "are for experiments, and last is a run"),
-        (["mine.toml", "--format", "ssp", "-o", "mine.toml"], "is the experiment itself"),
+        (["mine.toml", "--format", "ssp", "-o", "mine.toml"], "mine.toml is already used by this command"),
         (["nowhere.toml", "--format", "ssp"], "no such file"),
     ],
 )
