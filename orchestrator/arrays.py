@@ -5,7 +5,8 @@ A module that does not import numpy by itself imports these under TYPE_CHECKING:
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +17,21 @@ Truths: TypeAlias = NDArray[np.bool_]
 References: TypeAlias = NDArray[np.uint32]  # value references of FMI
 Table: TypeAlias = NDArray[Any]  # values of one kind, of the dtype that fmu.variables.DTYPES has for it
 Tables: TypeAlias = dict[str, Table]  # {kind: values}
+
+
+class Signals(Protocol):
+    """Recorded signals over time: those of a record, or rows that are still in memory."""
+
+    @property
+    def time(self) -> Reals:
+        """(N,) [s]."""
+
+    @property
+    def signals(self) -> Sequence[str]:
+        """Their names, such as "vehicle1.eta.x"."""
+
+    def __getitem__(self, name: str) -> Table:
+        """(N,) of a signal."""
+
+    def units(self, name: str) -> str:
+        """The unit of a signal, "1" where it has none."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .records.file.run import Run
+    from .arrays import Signals
 
 
 class OrchError(Exception):
@@ -57,7 +57,7 @@ class StoreError(OrchError):
 class RunError(OrchError):
     exit_code = 3
 
-    def __init__(self, message: str, run: Run | None = None):
+    def __init__(self, message: str, run: Signals | None = None):
         super().__init__(message)
         self.run = run
 

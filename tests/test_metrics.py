@@ -104,6 +104,7 @@ SPECS = {
     "max": ({"of": "max_abs", "signal": "one.ramp", "after": 0.01, "before": 0.04, "unit": "mm"}, 80.0),
     "final": ({"of": "final", "signal": "one.ramp"}, 0.2),
     "until": ({"of": "final", "signal": "one.ramp", "before": 0.05, "unit": "cm"}, 10.0),
+    "final_km": ({"of": "final", "signal": "one.ramp", "unit": "km"}, 2e-4),
     "settling": ({"of": "settling_time", "signal": "one.decay", "band": 0.5}, 0.014),  # 0.02 ln 2 = 0.01386
     "settling_mm": ({"of": "settling_time", "signal": "one.decay", "band": 500, "unit": "mm"}, 0.014),
     "settling_after": ({"of": "settling_time", "signal": "one.decay", "band": 0.5, "after": 0.03}, 0.03),

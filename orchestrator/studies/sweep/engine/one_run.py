@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from ....simulation.master import run as run_master
 from ....simulation.system import Shelf, System
 
 if TYPE_CHECKING:
-    from ....records.file.run import Run
     from ....simulation.master import Observer
 
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most
@@ -56,7 +55,7 @@ def perform(
             recorder.flush()
             recorder.finish(outcome)
             if outcome.status == "completed":
-                values = metrics.evaluate(cast("Run", rows), plan.experiment.metrics)
+                values = metrics.evaluate(rows, plan.experiment.metrics)
             recorder.close(outcome.status, values)
         except BaseException:
             recorder.abandon()
