@@ -23,9 +23,11 @@ RUN = {
     "experiment": "spiral",
     "status": "completed",
     "step": 0.001,
-    "seed": None,
+    "seed": 1,
     "metrics": {"rmse_x": 0.15, "far": None},
-    "components": {"controller": {"fmu": "pid", "parameters": {"K_p.z": 90.0, "on": True}}},
+    "components": {
+        "controller": {"fmu": "pid", "parameters": {"K_p.z": 90.0, "on": True, "lambda": 2.0, "T[1,2]": 3.0}},
+    },
 }
 OTHER = {"run_id": "b2", "metrics": {"extra": 1.0}}
 
@@ -53,6 +55,10 @@ OTHER = {"run_id": "b2", "metrics": {"extra": 1.0}}
         "components.controller.parameters.on == true",
         "metrics.rmse_x > -1 and 0 < metrics.rmse_x",
         "'pi' in 'pid'",
+        "0 < metrics.rmse_x <= 0.15 < 1",
+        "(metrics.rmse_x) < (1) and components.controller.fmu in ('pid', 'lyapunov')",
+        "components.controller.parameters.lambda == 2 and components.controller.parameters.T[1,2] == 3",
+        "seed == 1 and seed like 1 and -1 < seed",
         "status=='completed'and(step<1)",
     ],
 )
@@ -91,6 +97,19 @@ def test_an_expression_does_not_choose_a_run_that_lacks_a_name_or_fails_it(sourc
         ("__import__('os')", "is not expected here", 10),
         ("step == 'a", '"\'" belongs to no name', 8),
         ("", "missing before the end", 0),
+        ("step < 1 and (step > 2 step)", "follows another; join conditions by and, or, items by a comma", 14),
+        ("step < 1)", "')' is not expected here", 8),
+        ("run_id in ['a1', 'b2'", "] is missing", 21),
+        ("run_id in ['a1' 'b2']", "follows another", 11),
+        ("run_id like not 'b*'", "'like' is not expected here", 7),
+        ("step + 1 < 2", "belongs to no name", 5),
+        ("step - 1 < 2", "'-' is not expected here", 5),
+        ("metrics [1] < 2", "'[' is not expected here", 8),
+        ("['a1']", "a list is no condition", 0),
+        ("metrics < 1", "compares a list with a number", 8),
+        ("step == 1j", "is not expected here", 8),
+        ("(" * 300 + "step" + ")" * 300, "nested too deeply", 0),
+        ("not " * 3000 + "step", "nested too deeply", 0),
     ],
 )
 def test_a_mistake_is_pointed_at(source, sentence, column):
