@@ -17,9 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ..plan.plan import Plan
-from ..simulation.loop import Block
-from ..simulation.master import Watcher
-from ..simulation.system import System
+from ..simulation.observer import Observer, SystemView
 from .protocol import telemetry
 from .protocol.conversation import Conversation
 from .protocol.links import Endpoint, Link, Peer, open_link
@@ -42,7 +40,7 @@ def at_once(tick: int) -> float:
     return 0.0
 
 
-class Bridge(Watcher):
+class Bridge(Observer):
     """Shows the vehicles of a plan at endpoints.
 
     controls: {component of a vehicle: where its steering goes}; due: when it is time for a tick (monotonic) [s].
@@ -77,8 +75,8 @@ class Bridge(Watcher):
     def watched(self, plan: Plan) -> Plan:
         return self._view.watched(plan)
 
-    def opened(self, system: System) -> None:
-        self._view.opened(system)
+    def opened(self, view: SystemView) -> None:
+        self._view.opened(view)
         self.progress(0)
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
@@ -86,9 +84,6 @@ class Bridge(Watcher):
 
     def limit(self, tick: int, last: int) -> int:
         return self._view.limit(tick, last)
-
-    def rows(self, block: Block) -> None:
-        pass
 
     def progress(self, tick: int) -> None:
         self._view.look(tick)

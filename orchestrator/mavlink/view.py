@@ -17,6 +17,7 @@ from ..fmu.variables import Variable
 from ..names import ETA_AXES, NU_AXES, split_axis
 from ..plan.plan import Component, Plan
 from ..simulation.initialization import initialize
+from ..simulation.observer import SystemView
 from ..simulation.system import System
 from .protocol.links import Endpoint
 from .vehicle.autopilot import MODES, Autopilot
@@ -73,12 +74,12 @@ class View:
         signals = [s for vectors in self._vectors.values() for vector in vectors.values() for s in vector.signals]
         return replace(plan, watched=(*plan.watched, *signals))
 
-    def opened(self, system: System) -> None:
-        self._table = system.tables["real"]
+    def opened(self, view: SystemView) -> None:
+        self._table = view.tables["real"]
         for vectors in self._vectors.values():
             for vector in vectors.values():
                 if vector.signals:
-                    places = [system.places[component, variable.name] for component, variable in vector.signals]
+                    places = [view.places[component, variable.name] for component, variable in vector.signals]
                     vector.places = np.array(places, dtype=np.intp)
 
     def limit(self, tick: int, last: int) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..plan.plan import Plan
-from ..simulation.master import Observer
+from ..simulation.observer import Observer
 
 LATE = 0.1  # s; a run that was further behind says so
 

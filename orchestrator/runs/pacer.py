@@ -6,14 +6,13 @@ import time
 from typing import Any
 
 from ..plan.plan import Plan
-from ..simulation.loop import Block
-from ..simulation.master import Watcher
+from ..simulation.observer import Block, Observer
 
 SLICE = 0.002  # s of wall time between two looks at the clock
 TAIL = 0.05  # s of wall time before the end that the run goes ahead: its last rows are written before it is over
 
 
-class Pacer(Watcher):
+class Pacer(Observer):
     """An observer that waits until it is time.  factor: simulated seconds in a second of wall time.
 
     Each look compares with the beginning of the run, so that being late does not add up: a run that was held up catches

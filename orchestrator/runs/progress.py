@@ -7,22 +7,19 @@ import time
 from typing import TextIO
 
 from ..plan.plan import Plan
-from ..simulation.loop import Block
+from ..simulation.observer import Observer
 
 WIDTH = 24  # of the bar, characters
 EVERY = 0.1  # s of wall time
 
 
-class Progress:
+class Progress(Observer):
     """An observer that shows simulated time, real-time factor and time left; nothing unless `stream` is a terminal."""
 
     def __init__(self, plan: Plan, stream: TextIO = sys.stderr):
         self._grid, self._steps, self._stream = plan.experiment.grid, plan.steps, stream
         self._began = self._shown = time.monotonic()
         self._on = stream.isatty()
-
-    def rows(self, block: Block) -> None:
-        pass
 
     def progress(self, tick: int) -> None:
         now = time.monotonic()

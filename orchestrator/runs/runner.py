@@ -22,10 +22,10 @@ from ..records.file.recorder import Recorder
 from ..records.file.run import Run
 from ..records.store.folder import Store
 from ..simulation.initialization import initialize
-from ..simulation.master import Observer, Outcome, interruptible
 from ..simulation.master import run as run_master
+from ..simulation.observer import Observer, Outcome, interruptible
 from ..simulation.system import Context, System
-from .checkpoint.observer import Saver, ticks_of
+from .checkpoint.observer import CheckpointObserver, paths_of, ticks_of
 from .checkpoint.resume import resume
 from .prepare import prepare
 
@@ -90,11 +90,11 @@ def execute(
     """Run a resolved plan into its record, unless a completed one is there.
 
     context: {component: what a builtin may need of the run}.  checkpoints: ticks at which to save it, see
-    `saver.ticks_of`.  Raises OrchError where nothing started.
+    `checkpoint.observer.ticks_of`.  Raises OrchError where nothing started.
     """
     run_id, final = _place(plan, output, results)
-    saver = Saver(plan, checkpoints, run_id, final)
-    force = force or not saver.are_there()
+    due = paths_of(plan, checkpoints, final)
+    force = force or not all(path.is_file() for path in due.values())
     if output is None and not force and _status(final) == "completed":
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
@@ -105,7 +105,7 @@ def execute(
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
         if output is None and not force and _status(final) == "completed":
             return _recall(run_id, final, plan)
-        recorder = Recorder(path, plan, run_id)
+        recorder, saver = Recorder(path, plan, run_id), CheckpointObserver(system, run_id, due)
         try:
             begin = partial(resume, plan.origin) if plan.origin else initialize
             outcome = run_master(system, [recorder, *observers, saver], interrupt, begin)
@@ -117,7 +117,9 @@ def execute(
             recorder.close(outcome.status, values)
         except StoreError as error:
             ticks, values = recorder.ticks, {}
-            outcome = Outcome("failed", ticks, str(error), failed_at=plan.experiment.grid.time(ticks))
+            outcome = Outcome(
+                status="failed", ticks=ticks, error=str(error), failed_at=plan.experiment.grid.time(ticks)
+            )
             wall_time, factor = _give_up(recorder, outcome)
         except BaseException:
             recorder.abandon()

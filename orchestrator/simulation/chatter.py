@@ -34,7 +34,7 @@ class Alternations:
     def __init__(self, system: System):
         self._system = system
         self.every = _stride([component.period for component in system.plan.components], system.plan.steps)
-        self._table = system.tables["real"][: system.computed["real"]]
+        self._table = system.view.tables["real"][: system.computed["real"]]
         n = len(self._table)
         self._counts = np.zeros(n, dtype=np.int64)
         self._sum = np.zeros(n)  # of the products of consecutive values, and of their magnitudes:

@@ -10,7 +10,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -19,32 +18,12 @@ import numpy as np
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
 from ..instances.instance import Verb, references_of
 from .chatter import Alternations
+from .observer import Block, Interrupt
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Stepper
 from .system import System
 from .timing import EVERY, Timing
 
 NOT_FINITE = -1  # beside the statuses of FMI
-
-
-@dataclass
-class Block:
-    """Consecutive rows of the record.  `ticks`: (N,) of the rows; `values`: {kind: (N, signals of that kind)}."""
-
-    ticks: list[int]
-    values: dict[str, Any]
-
-
-class Interrupt:
-    """A flag that both loops look at in every step."""
-
-    def __init__(self) -> None:
-        self.flag = np.zeros(1, dtype=np.int32)
-
-    def set(self) -> None:
-        self.flag[0] = 1
-
-    def is_set(self) -> bool:
-        return bool(self.flag[0])
 
 
 class Loop(Protocol):
@@ -285,7 +264,7 @@ class _Rows:
         """The first of `rows`, one for each of `ticks`."""
         if ticks:
             self._flush()
-            self._blocks.append(Block(list(ticks), {kind: rows[kind][: len(ticks)] for kind in self._kinds}))
+            self._blocks.append(Block(ticks, {kind: rows[kind][: len(ticks)] for kind in self._kinds}))
 
     def take(self) -> list[Block]:
         self._flush()
@@ -294,7 +273,9 @@ class _Rows:
 
     def _flush(self) -> None:
         if self._ticks:
-            self._blocks.append(Block(self._ticks, {kind: np.array(rows) for kind, rows in self._values.items()}))
+            self._blocks.append(
+                Block(tuple(self._ticks), {kind: np.array(rows) for kind, rows in self._values.items()})
+            )
             self._clear()
 
 

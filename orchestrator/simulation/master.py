@@ -14,68 +14,21 @@ So a command computed from the state at t acts from t, and nothing is seen befor
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
 
 from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
 from .chatter import Alternations
 from .initialization import AlgebraicLoop, initialize
-from .loop import Block, Interrupt, Loop, choose
+from .loop import Loop, choose
+from .observer import Interrupt, Observer, Outcome
 from .stepper import ComponentFailed
 from .system import System
 from .timing import Timing
 
 CHUNK_SECONDS = 0.02  # of wall time between two looks at the outside world
 CHUNK_BYTES = 1 << 23  # of rows
-
-
-@dataclass
-class Outcome:
-    """How a run ended.  Times in s."""
-
-    status: str  # completed, failed or interrupted
-    ticks: int = 0  # at which it ended
-    error: str = ""
-    failed_at: float | None = None
-    stopped_at: float | None = None
-    last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
-    heard: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)  # by components that steer: see builtin
-    warnings: list[str] = field(default_factory=list)
-    timing: dict[str, Any] = field(default_factory=dict)  # see timing
-    calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
-
-
-class Observer(Protocol):
-    """Sees every row, in order, and changes nothing."""
-
-    def rows(self, block: Block) -> None: ...
-
-    def progress(self, tick: int) -> None: ...
-
-
-class Watcher:
-    """An observer that looks at the system itself, between chunks: the ones below do nothing unless overridden."""
-
-    def rows(self, block: Block) -> None: ...
-
-    def progress(self, tick: int) -> None: ...
-
-    def opened(self, system: System) -> None:
-        """The system is initialized; its `tables` hold the values of each `progress`, to read."""
-
-    def limit(self, tick: int, last: int) -> int:
-        """Where a chunk from `tick` ends that would go on to `last`: after `tick`, at most there."""
-        return last
-
-    def facts(self) -> dict[str, Any]:
-        """What the record shall tell of it beside where the time went."""
-        return {}
 
 
 def run(
@@ -88,14 +41,13 @@ def run(
 
     begin: brings the system to the values of its first row and returns warnings; it may raise what `initialize` does.
     """
-    outcome, interrupt = Outcome("completed", system.plan.first), interrupt or Interrupt()
+    outcome, interrupt = Outcome(status="completed", ticks=system.plan.first), interrupt or Interrupt()
     try:
         outcome.warnings += system.plan.warnings
         outcome.warnings += begin(system)
         outcome.calculated = system.calculated()
         for observer in observers:
-            if isinstance(observer, Watcher):
-                observer.opened(system)
+            observer.opened(system.view)
         _step_all(system, observers, outcome, interrupt)
     except ComponentFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
@@ -140,7 +92,6 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     alternations = Alternations(system)
     timing = Timing([component.period for component in system.plan.components])
     loop = choose(system, alternations, timing, interrupt)
-    watchers = [observer for observer in observers if isinstance(observer, Watcher)]
     _hand_over(loop, observers)
     first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
@@ -149,8 +100,8 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
             since = time.perf_counter()
             try:
                 last = min(steps, loop.ticks + chunk)
-                for watcher in watchers:
-                    last = watcher.limit(loop.ticks, last)
+                for observer in observers:
+                    last = observer.limit(loop.ticks, last)
                 loop.advance(last, CHUNK_SECONDS)
             except ComponentFailed as failure:
                 if not _ends_with_its_step(system, loop.ticks, failure):
@@ -169,8 +120,8 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
         outcome.timing = timing.summary(
             [component.name for component in system.plan.components], loop.ticks - first, loop.name
         )
-        for watcher in watchers:
-            outcome.timing |= watcher.facts()
+        for observer in observers:
+            outcome.timing |= observer.facts()
         outcome.warnings += alternations.warnings(loop.ticks - first)
     if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
@@ -195,17 +146,3 @@ def _largest_chunk(system: System) -> int:
     """Ticks whose rows take CHUNK_BYTES."""
     row = sum(8 * len(places) for places in system.recorded.values())
     return system.plan.stride * max(1, CHUNK_BYTES // max(1, row))
-
-
-@contextmanager
-def interruptible() -> Iterator[Interrupt]:
-    """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
-    interrupt = Interrupt()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupt
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: interrupt.set())
-    try:
-        yield interrupt
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -10,7 +10,9 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from ..instances.library import Library
 from ..instances.live import LiveInstance
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
+from .observer import SystemView
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Publication, Stepper, failing
 
 Context = Mapping[str, Mapping[str, Any]]
@@ -88,6 +91,14 @@ class System:
             stepper.instance.close()
         sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
         self._folder.close()
+
+    @cached_property
+    def view(self) -> SystemView:
+        """What observers see of it."""
+        tables = {kind: table.view() for kind, table in self.tables.items()}
+        for table in tables.values():
+            table.flags.writeable = False
+        return SystemView(MappingProxyType(tables), MappingProxyType(self.places))
 
     def calculated(self) -> dict[str, dict[str, Any]]:
         """{component: {parameter: value}} of the parameters that FMUs calculate themselves, once initialized.

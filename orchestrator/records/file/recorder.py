@@ -24,8 +24,7 @@ from ...errors import StoreError
 from ...fmu.variables import DTYPES
 from ...metrics import finite
 from ...plan.plan import Plan
-from ...simulation.loop import Block
-from ...simulation.master import Outcome
+from ...simulation.observer import Block, Observer, Outcome
 from .access import being_written, first_line, patiently
 from .datasets import TIME, Signal, attach_scales, image, signals_of
 from .format import HEARD
@@ -40,7 +39,7 @@ STATES = hasattr(os, "pwrite")  # not on Windows, where HDF5 would miss its plac
 HEADER = 1 << 12  # bytes that a signal takes without its values, and a node of its index, at most
 
 
-class Recorder:
+class Recorder(Observer):
     """Writes a record.  Rows reach the disk at least every second of wall time, a time only when its row is there.
 
     Raises StoreError where the file is there already or cannot be written.

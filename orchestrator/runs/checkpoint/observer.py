@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ...errors import ExperimentError, Problem
 from ...plan.plan import Component, Plan
-from ...simulation.master import Watcher
+from ...simulation.observer import Observer
 from ...simulation.system import System
 from . import file
 
 ABLE = ("canGetAndSetFMUstate", "canSerializeFMUstate")
 
 
-class Saver(Watcher):
-    """An observer that saves the system at some ticks.  record: the file of the run, beside which checkpoints lie."""
+class CheckpointObserver(Observer):
+    """Saves a system at some ticks: the only observer that has the system itself.  due: {tick: file}."""
 
-    def __init__(self, plan: Plan, ticks: Sequence[int], run_id: str, record: Path):
-        self._run_id, self._grid = run_id, plan.experiment.grid
-        self._due = {tick: file.path_of(record, self._grid.time(tick)) for tick in sorted(ticks)}
+    def __init__(self, system: System, run_id: str, due: Mapping[int, Path]):
+        self._system, self._run_id, self._due = system, run_id, due
         self.saved: list[Path] = []
-
-    def are_there(self) -> bool:
-        """Whether an earlier run has left all of them."""
-        return all(path.is_file() for path in self._due.values())
-
-    def opened(self, system: System) -> None:
-        self._system = system
 
     def limit(self, tick: int, last: int) -> int:
         return min((due for due in self._due if tick < due < last), default=last)
@@ -39,12 +31,17 @@ class Saver(Watcher):
             self.saved.append(self._due[tick])
 
     def warnings(self) -> list[str]:
-        """Of checkpoints that the run did not reach."""
+        """One for each checkpoint that the run did not reach."""
         return [
-            f"no checkpoint at t = {self._grid.time(tick):.10g} s: the run ended before"
+            f"no checkpoint at t = {self._system.plan.experiment.grid.time(tick):.10g} s: the run ended before"
             for tick, path in self._due.items()
             if path not in self.saved
         ]
+
+
+def paths_of(plan: Plan, ticks: Iterable[int], record: Path) -> dict[int, Path]:
+    """{tick: file} of the checkpoints of a run, beside its record."""
+    return {tick: file.path_of(record, plan.experiment.grid.time(tick)) for tick in sorted(ticks)}
 
 
 def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:

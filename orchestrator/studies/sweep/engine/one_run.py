@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +14,9 @@ from .... import metrics
 from ....plan.plan import Plan
 from ....records.file.format import ID_LENGTH
 from ....records.file.recorder import Recorder
-from ....simulation.loop import Block, Interrupt
 from ....simulation.master import run as run_master
+from ....simulation.observer import Block, Interrupt, Observer
 from ....simulation.system import Shelf, System
-
-if TYPE_CHECKING:
-    from ....simulation.master import Observer
 
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most
 
@@ -90,7 +87,7 @@ def rows_of(plan: Plan, keep: str, stopped_at: float | None) -> int:
     return ticks // kept.stride + 1
 
 
-class Rows:
+class Rows(Observer):
     """The signals that metrics are made of, in memory: what `metrics.evaluate` needs of a record."""
 
     def __init__(self, plan: Plan):
@@ -116,9 +113,6 @@ class Rows:
         for kind, chosen in self._chosen.items():
             self._blocks[kind].append(block.values[kind][:, chosen])
 
-    def progress(self, tick: int) -> None:
-        pass
-
     @property
     def signals(self) -> list[str]:
         return list(self._column)
@@ -139,7 +133,7 @@ class Rows:
         return str(self._units[name])
 
 
-class _Sieve:
+class _Sieve(Observer):
     """Hands every n-th row on to the recorder."""
 
     def __init__(self, recorder: Recorder, plan: Plan, kept: Plan):
@@ -153,6 +147,3 @@ class _Sieve:
             values = {kind: rows[chosen] for kind, rows in block.values.items()}
             self._recorder.rows(Block([block.ticks[i] for i in chosen], values))
         return None
-
-    def progress(self, tick: int) -> None:
-        pass

@@ -19,8 +19,7 @@ from typing import Any
 
 from ....errors import OrchError, StoreError
 from ....records.file.provenance import git_commit
-from ....simulation.loop import Interrupt
-from ....simulation.master import interruptible
+from ....simulation.observer import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep, SweepJob
 from . import cluster, fmu_cache, table, worker

@@ -21,7 +21,7 @@ from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
 from ....records.file.provenance import versions
 from ....records.file.run import Run as Record
-from ....simulation.loop import Interrupt
+from ....simulation.observer import Interrupt
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache

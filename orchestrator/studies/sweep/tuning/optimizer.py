@@ -22,8 +22,7 @@ from ....experiment.tune import Space, TuneSpec
 from ....experiment.tune import read as read_tune
 from ....records.file.provenance import git_commit
 from ....runs.prepare import load_experiment
-from ....simulation.loop import Interrupt
-from ....simulation.master import interruptible
+from ....simulation.observer import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, PreparedSweep, SweepJob, prepare_as
 from ..engine import cluster, worker

@@ -1,0 +1,110 @@
+"""Who watches a run: what an observer is given, how a run is interrupted, and how it ended."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..arrays import Reals, Table
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive rows of the record, to read.
+
+    ticks: (N,) of the rows.  values: {kind: (N, recorded values of that kind)}, in the order of `Plan.recorded`.
+    """
+
+    ticks: Sequence[int]
+    values: Mapping[str, Table]
+
+    def __post_init__(self) -> None:
+        for values in self.values.values():
+            values.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class SystemView:
+    """The values of a running system, to read: as they are when a hook of an observer is called.
+
+    tables: {kind: values}.  places: {(component, variable): place in the table of its kind} of all that is connected,
+    recorded or watched.
+    """
+
+    tables: Mapping[str, Table]
+    places: Mapping[tuple[str, str], int]
+
+
+class Observer:
+    """Watches a run and changes nothing: what it is given cannot be written to.  A hook does nothing unless overridden.
+
+    The order of calls: `opened`; `rows` of the first row; then for each chunk of steps `limit`, `rows` where it has
+    some, `progress`; `facts` at the end.
+    """
+
+    def opened(self, view: SystemView) -> None:
+        """The system is initialized."""
+
+    def rows(self, block: Block) -> None:
+        """The next rows of the record, in order, none left out."""
+
+    def limit(self, tick: int, last: int) -> int:
+        """Where a chunk from `tick` ends that would go on to `last`: after `tick`, at most there."""
+        return last
+
+    def progress(self, tick: int) -> None:
+        """All steps until `tick` are done; the view has the values of that time."""
+
+    def facts(self) -> dict[str, Any]:
+        """What the record keeps of it, beside where the time went."""
+        return {}
+
+
+class Interrupt:
+    """A flag that both loops look at in every step."""
+
+    def __init__(self) -> None:
+        self.flag = np.zeros(1, dtype=np.int32)
+
+    def set(self) -> None:
+        self.flag[0] = 1
+
+    def is_set(self) -> bool:
+        return bool(self.flag[0])
+
+
+@contextmanager
+def interruptible() -> Iterator[Interrupt]:
+    """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
+    interrupt = Interrupt()
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupt
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: interrupt.set())
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@dataclass(kw_only=True)
+class Outcome:
+    """How a run ended.  Times in s."""
+
+    status: str  # completed, failed or interrupted
+    ticks: int = 0  # at which it ended
+    error: str = ""
+    failed_at: float | None = None
+    stopped_at: float | None = None
+    last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
+    heard: dict[str, list[tuple[float, Reals]]] = field(default_factory=dict)  # by live components: see instances.live
+    warnings: list[str] = field(default_factory=list)
+    timing: dict[str, Any] = field(default_factory=dict)  # see timing
+    calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
