@@ -119,7 +119,7 @@ class Plan:
     def steps(self) -> int:
         """The tick at which the run ends."""
         ticks = self.experiment.grid.ticks(self.experiment.master.stop_time)
-        assert ticks is not None  # checked by experiment.load
+        assert ticks is not None  # checked by the reader
         return ticks
 
     @property

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..experiment import experiment as experiments
 from ..experiment.experiment import Experiment
 from ..experiment.keys import split_key
+from ..experiment.reader import load, parse
 from ..models import build, catalogue
 from ..plan.plan import Plan
 from ..plan.resolve import resolve
@@ -53,12 +53,12 @@ def prepare(
 def load_experiment(
     path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, str] | None = None
 ) -> Experiment:
-    """Read an experiment, a .ssp by that suffix, all else as TOML; arguments and errors as of `experiment.load`."""
+    """Read an experiment, a .ssp by that suffix, all else as TOML; arguments and errors as of `reader.load`."""
     if Path(path).suffix.lower() == ".ssp":
         from ..ssp import importing
 
         return importing.load(Path(path), set, swap)
-    return experiments.load(path, set, swap)
+    return load(path, set, swap)
 
 
 def build_models(packagings: Mapping[str, str], report: Report = _ignore) -> tuple[dict[str, Path], dict[str, str]]:
@@ -107,7 +107,7 @@ def _saved(checkpoint: Checkpoint, set: Mapping[str, Any], swap: Mapping[str, st
     """The experiment of a checkpoint; what was set for a component that is swapped now does not apply to it."""
     about = checkpoint.about
     kept = {key: value for key, value in about["changes"]["set"].items() if _component_of(key) not in swap}
-    return experiments.parse(
+    return parse(
         Path(about["experiment"]), about["experiment_toml"], {**kept, **set}, {**about["changes"]["swap"], **swap}
     )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..errors import StoreError
-from ..experiment import experiment
+from ..experiment.reader import parse
 from ..plan.plan import Plan
 from ..plan.resolve import resolve
 from ..records.compare.bits import Difference, Kept, compare
@@ -31,7 +31,7 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     if missing:
         raise StoreError(f"{record.path} was made by an orch that did not record {' and '.join(missing)}")
     path = Path(facts["experiment_path"])
-    loaded = experiment.parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
+    loaded = parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
     packagings = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if c.fmu}
     plan = resolve(loaded, *build_models(packagings, told))
     if plan.live:

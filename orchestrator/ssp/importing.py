@@ -12,7 +12,8 @@ from typing import Any
 
 from ..errors import ExperimentError, FmuError, Problem, StoreError
 from ..experiment import toml
-from ..experiment.experiment import Experiment, parse
+from ..experiment.experiment import Experiment
+from ..experiment.reader import parse
 from ..fmu.fmu import Fmu, read
 from ..fmu.variables import Variable
 from ..models import catalogue
@@ -36,7 +37,7 @@ class Imported:
 
 
 def load(path: Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, str] | None = None) -> Experiment:
-    """An .ssp as an experiment, as `experiment.load` has it of a .toml.  Its FMUs lie where built ones do.
+    """An .ssp as an experiment, as `reader.load` reads a .toml.  Its FMUs lie where built ones do.
 
     Raises ExperimentError where it cannot be read at all; every other problem is in `.problems`.
     """

@@ -104,7 +104,7 @@ def prepared(
 
 
 def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
-    from ...experiment.experiment import parse_value
+    from ...experiment.keys import parse_value
 
     pairs = {}
     for text in texts:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ...errors import OrchError, StoreError
-from ...experiment import experiment, mavlink
+from ...experiment import mavlink, reader
 from ...experiment.mavlink import MavlinkSpec
 from ...mavlink.tlog import Track
 from ...mavlink.tlog import write as write_log
@@ -33,7 +33,7 @@ def write(content: Content, target: Path) -> None:
     if not found:
         raise StoreError(f"{run.path} records no vehicle: no component with eta.x to eta.psi")
     facts = run.attributes
-    read = experiment.parse(
+    read = reader.parse(
         Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
     )
     spec, _ = mavlink.read(read.mavlink, [component.name for component in read.components])

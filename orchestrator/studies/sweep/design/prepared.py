@@ -11,8 +11,9 @@ from typing import Any
 
 from ....errors import ExperimentError, Problem
 from ....experiment import sweep as sections
-from ....experiment.experiment import Experiment, parse
+from ....experiment.experiment import Experiment
 from ....experiment.keys import split_key
+from ....experiment.reader import parse
 from ....experiment.sweep import SweepSpec
 from ....metrics import smaller_is_better, unit_of
 from ....plan import resolve

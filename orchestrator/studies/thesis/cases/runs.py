@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .... import metrics
 from ....errors import OrchError, RunError, StoreError
-from ....experiment.experiment import load
+from ....experiment.reader import load
 from ....models import build, catalogue
 from ....plan.plan import Plan
 from ....records.file.run import Run
