@@ -27,6 +27,7 @@ from orchestrator.studies.thesis.published import claims_gripping
 from orchestrator.studies.thesis.published import steps as thesis_steps
 from orchestrator.studies.thesis.published import tables as thesis_tables
 from orchestrator.studies.thesis.published.claims import FAILS, HOLDS
+from orchestrator.studies.thesis.published.outcome import Reproduction
 from orchestrator.studies.thesis.published.tables import Verdict, judge, metric_name, published
 
 CELLS = [cell for cell in published() if cell.quantity != "mean"]
@@ -338,7 +339,7 @@ def test_the_step_study_has_each_step_with_both_integrals():
 
 
 def test_the_index_links_every_figure_relatively():
-    outcome = reproduce.Outcome(
+    reproduction = Reproduction(
         folder=Path("x"),
         records=(),
         verdicts=tuple(judge(AS_PUBLISHED)),
@@ -349,7 +350,7 @@ def test_the_index_links_every_figure_relatively():
         study=(),
         quick=False,
     )
-    page = thesis_page.page(outcome)
+    page = thesis_page.page(reproduction)
     sources = re.findall(r'src="([^"]+)"', page)
     assert sources == [f"figures/{figure.stem}.png" for figure in FIGURES.values()]
     assert "prefers-color-scheme: dark" in page
@@ -358,31 +359,37 @@ def test_the_index_links_every_figure_relatively():
     targets = set(re.findall(r'href="#([^"]+)"', page))
     assert targets <= set(re.findall(r'id="([^"]+)"', page))
     assert "1 outside" in page
-    assert "every gated cell lies within its band" in thesis_page.page(replace(outcome, outside=()))
+    assert "every gated cell lies within its band" in thesis_page.page(replace(reproduction, outside=()))
 
 
-# --- workers
+# --- processes
 
 
-def job(name, code, cost=1.0):
-    return processes.Job(name, ("-c", code), cost)
+def command(name, code, cost=1.0):
+    return processes.ChildCommand(name=name, arguments=("-c", code), cost=cost)
 
 
-def test_jobs_start_with_the_longest_and_tell_how_they_ended():
-    told = []
-    jobs = [job("short", "print('out')", 1), job("long", "import sys; sys.exit('why')", 9)]
-    done = processes.run_all(jobs, lambda running, ended: told.append((list(running), ended)), at_once=1)
-    assert [(d.job.name, d.code) for d in done] == [("long", 1), ("short", 0)]
-    assert (done[0].errors.strip(), done[1].output.strip()) == ("why", "out")
-    assert told[0][0] == ["long"]
+def test_commands_start_with_the_longest_and_a_crash_ends_no_other():
+    watched = []
+    crash = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
+    commands = [
+        command("short", "print('out')", 1),
+        command("crash", crash, 5),
+        command("long", "import sys; sys.exit('why')", 9),
+    ]
+    results = processes.run_all(commands, lambda running, result: watched.append((list(running), result)), at_once=1)
+    assert [(r.command.name, r.code) for r in results] == [("long", 1), ("crash", -signal.SIGKILL), ("short", 0)]
+    assert [r.reason for r in results[:2]] == ["why", "the process ended with exit code -9"]
+    assert results[2].stdout.strip() == "out"
+    assert watched[0][0] == ["long"]
 
 
 def test_an_interrupt_ends_every_child(tmp_path):
     child = f"import os, time, pathlib; pathlib.Path({str(tmp_path)!r}, str(os.getpid())).touch(); time.sleep(60)"
     parent = (
-        "from orchestrator.studies import processes as workers\n"
-        f"jobs = [workers.Job(str(k), ('-c', {child!r})) for k in range(3)]\n"
-        "workers.run_all(jobs, lambda *_: None, at_once=2)"
+        "from orchestrator.studies import processes\n"
+        f"commands = [processes.ChildCommand(name=str(k), arguments=('-c', {child!r})) for k in range(3)]\n"
+        "processes.run_all(commands, lambda *_: None, at_once=2)"
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         process = subprocess.Popen([sys.executable, "-c", parent], stderr=subprocess.DEVNULL)

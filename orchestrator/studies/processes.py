@@ -1,102 +1,152 @@
-"""Commands in processes of their own, as many at once as there are cores."""
+"""The pool of processes: plans and other commands run in processes of their own, as many at once as there are cores.
+
+A child that crashes, or that the system kills, is one command that failed; the others go on.
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
 from typing import IO, Any
+
+from ..errors import OrchError, RunError
+from ..plan.plan import Plan
 
 POLL = 0.05  # s
 GRACE = 10.0  # s that a child has to close its record after an interrupt
 
 
-@dataclass(frozen=True)
-class Job:
-    """A command.  cost: how long it takes beside the others, in any unit: the longest start first."""
+@dataclass(frozen=True, kw_only=True)
+class ChildCommand:
+    """What a child runs.  cost: how long it takes beside the others, in any unit; the most costly start first."""
 
     name: str
-    arguments: tuple[str, ...]  # of this Python
+    arguments: Sequence[str]  # of this Python
+    stdin: bytes = b""
     cost: float = 1.0
 
 
-@dataclass(frozen=True)
-class Done:
-    """A command that ended."""
+@dataclass(frozen=True, kw_only=True)
+class ChildResult:
+    """A command that ended.  code: its exit code, negative where a signal ended it."""
 
-    job: Job
+    command: ChildCommand
     code: int
-    output: str
-    errors: str
-    seconds: float
+    stdout: str
+    stderr: str
+    seconds: float  # of wall time
+
+    @property
+    def reason(self) -> str:
+        """Why it failed, in its own words where it has some."""
+        try:
+            return str(json.loads(self.stdout)["error"])
+        except (ValueError, KeyError, TypeError):
+            return self.stderr.strip() or f"the process ended with exit code {self.code}"
 
 
 @dataclass
 class _Child:
-    job: Job
+    command: ChildCommand
     process: subprocess.Popen[bytes]
-    output: IO[bytes]
-    errors: IO[bytes]
+    stdout: IO[bytes]
+    stderr: IO[bytes]
     began: float
+
+
+# Called with the names of the running commands, many times a second, and with each command that has ended.
+Watch = Callable[[Sequence[str], ChildResult | None], None]
 
 
 def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_all(jobs: Iterable[Job], told: Callable[[list[str], Done | None], None], at_once: int = 0) -> list[Done]:
-    """Run the jobs, the most costly first.
+def run_of(name: str, plan: Plan, results: str | Path) -> ChildCommand:
+    """The command that runs a plan into the store `results`, see `runs.__main__`."""
+    job = {"plan": plan, "results": str(results), "command": sys.argv}
+    cost = (plan.steps - plan.first) * len(plan.components)
+    return ChildCommand(name=name, arguments=("-m", "orchestrator.runs"), stdin=pickle.dumps(job), cost=cost)
 
-    told: called with the names of the running jobs, many times a second, and with each job that has ended.
-    at_once: processes; 0 takes one a core.  Returns how the jobs ended, in the order in which they did.
+
+def run_plans(commands: Sequence[ChildCommand], watch: Watch) -> list[dict[str, Any]]:
+    """Run commands of `run_of`; returns their results in the order of `commands`.
+
+    Raises RunError where one failed, OrchError where one could not start, with the reasons of all.
+    """
+    ended = {id(one.command): one for one in run_all(commands, watch)}
+    failed = [one for one in ended.values() if one.code]
+    if failed:
+        message = "\n".join(f"{one.command.name}: {one.reason}" for one in failed)
+        raise (OrchError if all(one.code == OrchError.exit_code for one in failed) else RunError)(message)
+    return [json.loads(ended[id(command)].stdout) for command in commands]
+
+
+def run_all(commands: Iterable[ChildCommand], watch: Watch, at_once: int = 0) -> list[ChildResult]:
+    """Run commands, the most costly first.
+
+    at_once: processes; 0 takes one a core.  Returns the commands in the order in which they ended.
     KeyboardInterrupt, and a signal that asks this process to end, interrupts every child and waits for it.
     """
-    waiting = sorted(jobs, key=lambda job: -job.cost)
+    waiting = sorted(commands, key=lambda command: -command.cost)
     running: list[_Child] = []
-    ended: list[Done] = []
+    ended: list[ChildResult] = []
     try:
         with _terminable():
             while waiting or running:
                 while waiting and len(running) < (at_once or cores()):
                     running.append(_start(waiting.pop(0)))
-                told([child.job.name for child in running], None)
+                watch([child.command.name for child in running], None)
                 time.sleep(POLL)
                 for child in [c for c in running if c.process.poll() is not None]:
                     running.remove(child)
                     ended.append(_end(child))
-                    told([c.job.name for c in running], ended[-1])
+                    watch([c.command.name for c in running], ended[-1])
     finally:
         _interrupt(running)
     return ended
 
 
-def _start(job: Job) -> _Child:
-    output, errors = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 - closed by _end
-    # A session of its own: Ctrl-C on the terminal reaches this process alone, which passes it on once.
-    process = subprocess.Popen(
-        [sys.executable, *job.arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=errors, start_new_session=True
-    )
-    return _Child(job, process, output, errors, time.monotonic())
+def _start(command: ChildCommand) -> _Child:
+    stdout, stderr = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 - closed by _end
+    arguments = [sys.executable, "-P", *command.arguments]  # a user's file json.py does not come before Python's own
+    with tempfile.TemporaryFile() as stdin:
+        stdin.write(command.stdin)
+        stdin.seek(0)
+        # A session of its own: Ctrl-C on the terminal reaches this process alone, which passes it on once.
+        process = subprocess.Popen(arguments, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True)
+    return _Child(command, process, stdout, stderr, time.monotonic())
 
 
-def _end(child: _Child) -> Done:
+def _end(child: _Child) -> ChildResult:
     texts = []
-    for stream in (child.output, child.errors):
+    for stream in (child.stdout, child.stderr):
         stream.seek(0)
         texts.append(stream.read().decode(errors="replace"))
         stream.close()
-    return Done(child.job, child.process.returncode, texts[0], texts[1], time.monotonic() - child.began)
+    return ChildResult(
+        command=child.command,
+        code=child.process.returncode,
+        stdout=texts[0],
+        stderr=texts[1],
+        seconds=time.monotonic() - child.began,
+    )
 
 
 def _interrupt(children: list[_Child]) -> None:
-    """End what still runs: politely, then not."""
+    """Interrupt what still runs, and kill what does not end within GRACE."""
     for child in children:
         if sys.platform == "win32":
             child.process.terminate()
@@ -113,9 +163,9 @@ def _interrupt(children: list[_Child]) -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Turn what ends a process without a word into KeyboardInterrupt, so that no child is left behind."""
+    """Signals that end a process at once raise KeyboardInterrupt instead, so that no child is left behind."""
 
-    def interrupt(number: int, frame: Any) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():

@@ -72,7 +72,7 @@ def run(
     from ... import files
     from ...records.file.run import Run
     from ...runs.checkpoint.observer import ticks_of
-    from ...runs.progress import Progress
+    from ...runs.progress import ProgressLine, RunProgress
     from ...runs.runner import execute
     from ...views import export as exporting
     from ..text import show
@@ -94,14 +94,10 @@ def run(
         ticks = ticks_of(plan, times)
         for note in plan.notes:
             told(f"note: {note}")
-        progress = Progress(plan)
-        with asked.tied(plan) as ties:
-            try:
-                observers = [*([] if quiet or as_json else [progress]), *ties.observers]
-                again = force or bool(ties.observers)
-                result = execute(ties.plan, output, results, again, observers, ties.context, ticks)
-            finally:
-                progress.done()
+        with asked.tied(plan) as ties, ProgressLine(quiet or as_json) as line:
+            again = force or bool(ties.observers)
+            observers = [RunProgress(plan, line), *ties.observers]
+            result = execute(ties.plan, output, results, again, observers, ties.context, ticks)
         for note in asked.notes:
             told(f"note: {note}")
     except OrchError as error:

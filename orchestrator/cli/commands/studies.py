@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import click
@@ -82,11 +83,12 @@ def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> in
     Runs that the store has are not repeated, figures whose runs have not changed are not redrawn.
     """
     from ...studies.thesis import reproduce as thesis
+    from ...studies.thesis.pages import summary
     from ..text import show
 
-    outcome = thesis.reproduce(only, quick, results, tell)
-    click.echo(thesis.report(outcome, show.short(outcome.folder)))
-    return 1 if outcome.outside else 0
+    reproduction = thesis.reproduce(only, quick, results, tell)
+    click.echo(summary.text(reproduction, show.short(reproduction.folder)))
+    return 1 if reproduction.outside else 0
 
 
 @click.command()
@@ -132,14 +134,12 @@ def sweep(
     if dry_run:
         click.echo(json.dumps(listing.design_as_json(prepared)) if as_json else listing.design(prepared))
         return 0
+    from ...runs.progress import ProgressLine
+    from ...studies.progress import show_runs
     from ...studies.sweep.engine import scheduler as engine
-    from ...studies.sweep.engine.progress import SweepProgress
 
-    progress = SweepProgress(quiet=as_json)
-    try:
-        result = engine.sweep(prepared, results, scheduler, workers, fail_fast, progress)
-    finally:
-        progress.done()
+    with ProgressLine(as_json) as line:
+        result = engine.sweep(prepared, results, scheduler, workers, fail_fast, partial(show_runs, line))
     click.echo(json.dumps(listing.swept_as_json(result)) if as_json else listing.swept(result))
     if result.interrupted:
         report("interrupted; the same command runs what is missing")
@@ -174,13 +174,13 @@ def tune(
     Every controller gets the same number of trials on the same draws.  The study lies in DIR/_tune and goes on where it
     was interrupted, or with more trials; beside it the tuned parameters, as TOML for an experiment or a sweep.
     """
-    from ...studies.sweep.engine.progress import SweepProgress, TrialProgress
+    from ...runs.progress import ProgressLine
+    from ...studies.progress import TrialProgress, show_runs
     from ...studies.sweep.tuning import optimizer as tuning
     from ..text import sweep as listing
 
     report = silent if as_json else tell
-    trials, progress = TrialProgress(quiet=as_json), SweepProgress(quiet=as_json)
-    try:
+    with ProgressLine(as_json) as line:
         result = tuning.tune(
             experiment,
             pairs("--set", sets),
@@ -190,12 +190,9 @@ def tune(
             scheduler,
             workers,
             report,
-            trials,
-            progress,
+            TrialProgress(line),
+            partial(show_runs, line),
         )
-    finally:
-        trials.done()
-        progress.done()
     click.echo(json.dumps(listing.tuned_as_json(result)) if as_json else listing.tuned(result))
     if result.final is None or result.final.interrupted:
         report("interrupted; the same command goes on")

@@ -1,6 +1,6 @@
 """Draws the thesis's figures from records, as PNG and PDF.
 
-    python -m orchestrator.studies.thesis.pages.drawing JOB.json
+    python -m orchestrator.studies.thesis.pages.drawing < JOB.json
 
 Frames: NED and BODY; what is desired is dashed; the axes of z and of its error point down.
 """
@@ -24,7 +24,7 @@ from ..cases import signals
 from ..cases.chapter5 import CASES
 from ..cases.signals import Array, Track
 from ..published.steps import STUDIED, STUDY_STEM
-from .figures import FIGURES, Figure
+from .figures import FIGURES, ThesisFigure
 
 DPI = 130
 QUANTITIES = {  # Track's attributes, columns, names, units, least extent
@@ -42,8 +42,8 @@ Tracks = Mapping[str, list[Track]]
 
 
 def main() -> None:
-    """Draw what a job file asks for: {"folder", "figures": [numbers], "records": {case: file}, "study": its data}."""
-    job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    """Draw what a job on stdin asks for: {"folder", "figures": [numbers], "records": {case: file}, "study": rows}."""
+    job = json.load(sys.stdin)
     tracks: dict[str, list[Track]] = {}
     for number in job["figures"]:
         figure = FIGURES[number]
@@ -51,7 +51,7 @@ def main() -> None:
             if case not in tracks:
                 tracks[case] = _tracks(case, job["records"][case])
         write(canvas(figure, tracks), Path(job["folder"]) / figure.stem)
-    if job.get("study"):
+    if job["study"]:
         write(study_canvas(job["study"]), Path(job["folder"]) / STUDY_STEM)
 
 
@@ -67,7 +67,7 @@ def write(drawn: Canvas, stem: Path) -> None:
         figures.save(drawn, stem.with_suffix(suffix), DPI)
 
 
-def canvas(figure: Figure, tracks: Tracks) -> Canvas:
+def canvas(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     """Draw one figure.  tracks: {case: its vehicles}."""
     with figures.style():
         return KINDS[figure.kind](figure, tracks)
@@ -104,7 +104,7 @@ def study_canvas(rows: list[dict[str, Any]]) -> Canvas:
         return drawn
 
 
-def _states(figure: Figure, tracks: Tracks) -> Canvas:
+def _states(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     """Three components over time, and what was desired of them."""
     number = figure.options.get("vehicle", "1")
     track = tracks[figure.cases[0]][int(number) - 1]
@@ -120,7 +120,7 @@ def _states(figure: Figure, tracks: Tracks) -> Canvas:
     return _over_time(rows, keys, height=1.5)
 
 
-def _forces(figure: Figure, tracks: Tracks) -> Canvas:
+def _forces(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     (track,) = tracks[figure.cases[0]]
     panels = [
         Panel(
@@ -134,7 +134,7 @@ def _forces(figure: Figure, tracks: Tracks) -> Canvas:
     return _over_time(rows, [], height=1.5, width=8.5)
 
 
-def _commands(figure: Figure, tracks: Tracks) -> Canvas:
+def _commands(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     (track,) = tracks[figure.cases[0]]
     panels = [
         Panel(
@@ -148,7 +148,7 @@ def _commands(figure: Figure, tracks: Tracks) -> Canvas:
     return _over_time([[panels[i], panels[i + 1]] for i in (0, 2, 4)], [], height=1.5, width=8.5)
 
 
-def _errors(figure: Figure, tracks: Tracks) -> Canvas:
+def _errors(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     """One axis's error under several controllers; of two vehicles a row each, the right column magnified."""
     axis = figure.options["axis"]
     angle = axis in ("phi", "theta", "psi")
@@ -173,11 +173,11 @@ def _errors(figure: Figure, tracks: Tracks) -> Canvas:
     return _over_time(rows, _keys(figure), *((2.3, 9.0) if gripping else (3.6, 7.0)))
 
 
-def _distance(figure: Figure, tracks: Tracks) -> Canvas:
+def _distance(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     return _formation(figure, tracks, signals.distance, 0.5, "distance [m]", 1e3, "distance - 0.5 m [mm]", 0.5)
 
 
-def _heading(figure: Figure, tracks: Tracks) -> Canvas:
+def _heading(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     label = r"$\psi_2 - \psi_1$"
     return _formation(
         figure, tracks, signals.heading_difference, 180.0, f"{label} [deg]", 1.0, rf"{label} - 180$^\circ$ [deg]", 0.1
@@ -185,7 +185,7 @@ def _heading(figure: Figure, tracks: Tracks) -> Canvas:
 
 
 def _formation(
-    figure: Figure,
+    figure: ThesisFigure,
     tracks: Tracks,
     measure: Callable[[Track, Track], Array],
     wanted: float,
@@ -213,7 +213,7 @@ def _formation(
     return drawn
 
 
-def _path(figure: Figure, tracks: Tracks) -> Canvas:
+def _path(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     """Trajectories in space with the bodies' axes, or on the chart, seen from above."""
     above = figure.options["view"] == "above"
     drawn = Canvas(figsize=(6.6, 5.6), layout="constrained")
@@ -265,7 +265,7 @@ def _over_time(rows: list[list[Panel]], keys: list[Line2D], height: float, width
     return drawn
 
 
-def _palette(figure: Figure) -> dict[str, dict[str, Any]]:
+def _palette(figure: ThesisFigure) -> dict[str, dict[str, Any]]:
     """A colour for each controller, the same in every figure; MFSOSMC's three time bases differ in their dashes."""
     order = ("mfsosmc", "pid", "feedback_linearization", "lyapunov", "nstsmc", "ftsosmc")
     hues = dict(zip(order, (0, 1, 2, 3, 1, 2), strict=True))
@@ -277,11 +277,11 @@ def _palette(figure: Figure) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def _keys(figure: Figure) -> list[Line2D]:
+def _keys(figure: ThesisFigure) -> list[Line2D]:
     return [Line2D([], [], label=CASES[name].label, **style) for name, style in _palette(figure).items()]
 
 
-KINDS: dict[str, Callable[[Figure, Tracks], Canvas]] = {
+KINDS: dict[str, Callable[[ThesisFigure, Tracks], Canvas]] = {
     "states": _states,
     "forces": _forces,
     "commands": _commands,

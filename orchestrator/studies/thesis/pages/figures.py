@@ -33,7 +33,7 @@ GRIPPING_ERRORS = ("x", "y", "z", "phi", "psi")
 
 
 @dataclass(frozen=True)
-class Figure:
+class ThesisFigure:
     """One figure.
 
     number: such as "5.57".  kind: a function of `drawing`.  cases: of the runs it shows, in the legend's order.
@@ -53,11 +53,11 @@ class Figure:
         return f"fig_{chapter}_{int(number):02d}"
 
 
-def _figures() -> dict[str, Figure]:
-    found: list[Figure] = []
+def _figures() -> dict[str, ThesisFigure]:
+    found: list[ThesisFigure] = []
 
     def add(title: str, kind: str, cases: tuple[str, ...], **options: str) -> None:
-        found.append(Figure(f"5.{len(found) + 1}", title, kind, cases, options))
+        found.append(ThesisFigure(f"5.{len(found) + 1}", title, kind, cases, options))
 
     for case, controller in TITLES.items():
         for kind, option, title in PER_CONTROLLER:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from html import escape
-from typing import TYPE_CHECKING
 
 from ..cases.chapter5 import CASES
 from ..published import claims as thesis_claims
 from ..published import steps as thesis_steps
+from ..published.outcome import Reproduction
 from ..published.tables import CAPTIONS, Verdict, best
 from .figures import FIGURES
-
-if TYPE_CHECKING:
-    from ..reproduce import Outcome
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c1e21; --soft: #60656c; --paper: #fff; --line: #dfe2e6; --card: #f6f7f8;
@@ -39,49 +36,51 @@ figcaption { font-size: .85rem; padding-top: .3rem; }
 CLASSES = {thesis_claims.HOLDS: "good", thesis_claims.PARTLY: "mid", thesis_claims.FAILS: "bad"}
 
 
-def page(outcome: Outcome) -> str:
+def page(reproduction: Reproduction) -> str:
     """The whole page.  Images are linked relative to it."""
     parts = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>The thesis, reproduced</title><style>{STYLE}</style></head><body>",
         "<h1>The thesis, reproduced</h1>",
-        *_head(outcome),
+        *_head(reproduction),
         '<h2 id="tables">Tables</h2><p class="soft">Ours; below it the published value and the relative error. Bold: '
         "the best of a column. Green lies within its band, red outside, grey is reported only.</p>",
-        *(_table(table, outcome.verdicts) for table in CAPTIONS),
+        *(_table(table, reproduction.verdicts) for table in CAPTIONS),
         '<h2 id="claims">Claims of chapter 5</h2>',
-        f'<p class="soft">{thesis_claims.tally(outcome.claims)}. * decides the exit code.</p>',
+        f'<p class="soft">{thesis_claims.tally(reproduction.claims)}. * decides the exit code.</p>',
         '<ul class="claims">',
-        *_claims(outcome),
+        *_claims(reproduction),
         "</ul>",
         '<h2 id="figures">Figures</h2><p class="soft">NED: z and its error point down; what is desired is dashed.</p>',
         '<div class="figures">',
-        *(_figure(FIGURES[n].stem, f"Figure {n}", FIGURES[n].title) for n in outcome.figures),
+        *(_figure(FIGURES[n].stem, f"Figure {n}", FIGURES[n].title) for n in reproduction.figures),
         "</div>",
     ]
-    if outcome.study:
+    if reproduction.study:
         parts += ['<h2 id="steps">Step study</h2>', _figure(thesis_steps.STUDY_STEM, "", thesis_steps.CAPTION)]
     return "\n".join([*parts, "</body></html>"]) + "\n"
 
 
-def _head(outcome: Outcome) -> list[str]:
-    passed = not outcome.outside
-    verdict = "every gated cell lies within its band" if passed else f"{len(outcome.outside)} outside"
-    counts = outcome.counts
+def _head(reproduction: Reproduction) -> list[str]:
+    passed = not reproduction.outside
+    verdict = "every gated cell lies within its band" if passed else f"{len(reproduction.outside)} outside"
+    counts = reproduction.counts
     names = list(next(iter(counts.values())))
     rows = [[label, *(str(row[n]) for n in names)] for label, row in counts.items()]
     runs = [
         [escape(r.case.name), f"{r.plan.experiment.master.step * 1e3:g} ms", r.path.stem, str(len(r.warnings) or "")]
-        for r in outcome.records
+        for r in reproduction.records
     ]
     return [
         f'<p>Tables 5.2-5.7, the claims and Figures 5.1-5.80 from {len(runs)} runs of FMUs. <b class="'
-        f'{"good" if passed else "bad"}">{verdict}</b>{", quick: coarser steps" if outcome.quick else ""}.</p>',
+        f'{"good" if passed else "bad"}">{verdict}</b>{", quick: coarser steps" if reproduction.quick else ""}.</p>',
         '<nav><a href="#tables">Tables</a> <a href="#claims">Claims</a> <a href="#figures">Figures</a>'
-        + (' <a href="#steps">Step study</a>' if outcome.study else "")
+        + (' <a href="#steps">Step study</a>' if reproduction.study else "")
         + "</nav>",
-        "<ul>" + "".join(f'<li class="bad">{escape(s)}</li>' for s in outcome.outside) + "</ul>" if not passed else "",
+        "<ul>" + "".join(f'<li class="bad">{escape(s)}</li>' for s in reproduction.outside) + "</ul>"
+        if not passed
+        else "",
         _grid(["controller", *names], rows),
         "<details><summary>Runs</summary>",
         _grid(["run", "step", "id", "warnings"], runs),
@@ -114,9 +113,9 @@ def _table(table: str, verdicts: Iterable[Verdict]) -> str:
     return f"<h3>Table {table}: {CAPTIONS[table]} {links}</h3>{_grid(['', *head], rows)}{below}"
 
 
-def _claims(outcome: Outcome) -> list[str]:
+def _claims(reproduction: Reproduction) -> list[str]:
     items = []
-    for claim in outcome.claims:
+    for claim in reproduction.claims:
         shown = ", ".join(_link(f) for f in claim.figures)
         items.append(
             f'<li><b class="{CLASSES[claim.verdict]}">{claim.verdict}{" *" if claim.gated else ""}</b> '
