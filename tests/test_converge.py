@@ -1,6 +1,7 @@
 """orch converge: one experiment at several steps."""
 
 import math
+import re
 
 import pytest
 
@@ -60,8 +61,31 @@ def test_steps_that_do_not_fit_are_refused_with_their_reason(orch, write, short)
     answer = orch("converge", write(short), "--steps", "3e-3,1e-3,5e-4")
     assert answer.code == 2
     assert "3e-3" in answer.err or "0.003" in answer.err
-    assert "does not divide" in answer.err
+    assert "master.stop_time: 0.4 s is not a multiple of master.step = 0.003 s" in answer.err
     answer = orch("converge", write(short), "--steps", "1e-3,5e-4")
     assert answer.code == 2
     assert "at least 3" in answer.err
     assert orch("converge", write(short), "--steps", "fine").code == 2
+
+
+def test_runs_that_crash_are_named_with_their_steps(orch, probe, write, tmp_path):
+    path = write(
+        {
+            "master": {"stop_time": 0.04, "step": 0.002},
+            "components": {"probe": {"fmu": str(probe), "start": "fmu", "parameters": {"mode": 13}}},
+            "metrics": {"last": {"of": "final", "signal": "probe.y"}},
+        }
+    )
+    answer = orch("converge", path, "--steps", "4e-3,1e-3")
+    assert answer.code == 3
+    assert "Traceback" not in answer.err
+    for step in ("0.004", "0.002", "0.001"):
+        assert re.search(rf"^step {step} s: the process ended with exit code -6$", answer.err, re.MULTILINE)
+    assert not (tmp_path / "results" / "_converge").exists()
+
+
+def test_records_of_a_study_name_its_command_whatever_lies_in_the_folder(orch, write, short, tmp_path):
+    (tmp_path / "json.py").write_text("raise SystemExit('not the json of Python')")
+    assert orch("converge", write(short)).code == 0
+    for run in orch("list", "--json").json:
+        assert orch("show", run["run_id"], "--json").json["command"][1] == "converge"

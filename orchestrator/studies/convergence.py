@@ -5,21 +5,18 @@ With m(h) = m_0 + c h^p, three steps give the observed order p, and the two fine
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import ExperimentError, OrchError, Problem, RunError
-from ..experiment.timegrid import Grid
-from ..plan.plan import Plan
+from ..errors import ExperimentError, Problem
+from ..metrics import unit_of
+from ..runs.prepare import prepare
 from ..views import figures
+from . import processes
+from .progress import CommandProgress
 
 TOLERANCE = 0.05  # of a metric: an estimated error beyond it means "not converged"
 NOISE = 1e-6  # SI; a metric that is zero but for rounding has no relative error
@@ -27,8 +24,8 @@ FACTORS = (4.0, 2.0, 1.0, 0.5)  # of the experiment's own step, where the user n
 
 
 @dataclass(frozen=True)
-class Convergence:
-    """One metric.  `values`: by step, coarse to fine; `order`: nan where the values do not shrink monotonically."""
+class MetricConvergence:
+    """One metric.  values: by step [s], coarse to fine; order: nan where the values do not approach a limit."""
 
     name: str
     unit: str
@@ -44,13 +41,13 @@ class Convergence:
 
 
 @dataclass(frozen=True)
-class Study:
-    """The whole answer.  `warnings`: of the run at the experiment's own step."""
+class ConvergenceStudy:
+    """All metrics.  warnings: of the run at the experiment's own step."""
 
     experiment: str
-    own: float
-    steps: tuple[float, ...]
-    metrics: tuple[Convergence, ...]
+    own: float  # s, the experiment's own step
+    steps: tuple[float, ...]  # s, coarse to fine
+    metrics: tuple[MetricConvergence, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -58,39 +55,50 @@ class Study:
         return not self.warnings and all(metric.converged(self.own) for metric in self.metrics)
 
 
-def default_steps(plan: Plan) -> list[float]:
-    """Multiples of the experiment's own step that fit its stop time, rows and periods."""
-    own = plan.experiment.master.step
-    return [step for factor in FACTORS if not _misfit(plan, step := float(f"{own * factor:.12g}"))]
-
-
 def study(
-    plan: Plan, steps: Sequence[float], arguments: Sequence[str], units: Mapping[str, str], told: Callable[[str], None]
-) -> Study:
-    """Run `plan` at each step; runs that are in the store are not repeated.
+    path: str | Path,
+    steps: Sequence[float] = (),
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str] | None = None,
+    results: str | Path = "results",
+    report: Callable[[str], None] = lambda _: None,
+) -> ConvergenceStudy:
+    """Run an experiment at several communication steps; runs whose records are in the store are not repeated.
 
-    arguments: the command line of `orch run` but for --json and the step.  told: called with each finished run.
+    steps [s]: beside the experiment's own; none gives 4, 2 and 1/2 times that, where they fit.  report: called with
+    each model that is built and each run that has ended.
     Raises ExperimentError where a step does not fit, RunError where a run fails.
     """
+    plan = prepare(path, set, swap, report=report)
     own = plan.experiment.master.step
-    chosen = tuple(sorted({own, *steps}, reverse=True))
-    problems = [Problem(f"--steps {step:g}", words) for step in chosen if (words := _misfit(plan, step))]
-    if len(chosen) < 3:
+    wanted = steps or [float(f"{own * factor:.12g}") for factor in FACTORS]
+    plans, problems = {own: plan}, []
+    for step in wanted:
+        try:
+            plans[step] = prepare(path, {**(set or {}), "master.step": step}, swap)
+        except ExperimentError as error:
+            problems += [Problem(f"--steps {step:g}", str(problem)) for problem in error.problems]
+    chosen = tuple(sorted(plans, reverse=True))
+    if not steps:
+        problems = []  # the steps that fit are taken
+    if len(chosen) < 3 and not problems:
         problems.append(Problem("--steps", f"{len(chosen)} steps show no order of convergence; give at least 3"))
     if not plan.experiment.metrics:
         problems.append(Problem("metrics", "the experiment has none; convergence is judged by its metrics"))
     if problems:
         raise ExperimentError(plan.experiment.path, problems)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # each run is a process of its own
-        results = dict(zip(chosen, pool.map(lambda step: _run(step, arguments, told), chosen), strict=True))
-    found = []
-    for name in plan.experiment.metrics:
-        values = {step: _number(results[step]["metrics"][name]) for step in chosen}
-        found.append(assess(name, units[name], values, own))
-    return Study(plan.experiment.path.stem, own, chosen, tuple(found), tuple(results[own]["warnings"]))
+    commands = [processes.run_of(f"step {step:g} s", plans[step], results) for step in chosen]
+    ended = processes.run_plans(commands, CommandProgress(len(commands), report))
+    by_step = dict(zip(chosen, ended, strict=True))
+    units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
+    metrics = []
+    for name, spec in plan.experiment.metrics.items():
+        values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
+        metrics.append(assess(name, unit_of(spec, units), values, own))
+    return ConvergenceStudy(plan.experiment.path.stem, own, chosen, tuple(metrics), tuple(by_step[own]["warnings"]))
 
 
-def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> Convergence:
+def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> MetricConvergence:
     """Order, limit and error of one metric from its three finest steps.  values: {step: metric}."""
     steps = sorted(values, reverse=True)
     h1, h2, h3 = steps[-3:]
@@ -100,11 +108,14 @@ def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> C
     error = abs(values[own] - limit)
     if math.isnan(order) and own == h3:  # nothing finer to compare with
         error = abs(m3 - m2)
-    return Convergence(name, unit, dict(values), order, limit, error)
+    return MetricConvergence(name, unit, dict(values), order, limit, error)
 
 
 def observed_order(steps: tuple[float, float, float], values: tuple[float, float, float]) -> float:
-    """p of m(h) = m_0 + c h^p through three points, coarse to fine; nan where no p in 0.1..10 fits."""
+    """p of m(h) = m_0 + c h^p through three points.
+
+    steps [s], values: coarse to fine.  Returns nan where no p from 0.1 to 10 fits.
+    """
     h1, h2, h3 = steps
     first, second = values[0] - values[1], values[1] - values[2]
     if second == 0.0 or not first / second > 0.0:
@@ -123,7 +134,7 @@ def observed_order(steps: tuple[float, float, float], values: tuple[float, float
 
 
 @figures.style()
-def draw(study: Study, target: Path) -> Path:
+def draw(study: ConvergenceStudy, target: Path) -> Path:
     """Each metric over the step; its limit dashed, the experiment's own step marked.  Returns `target`."""
     from matplotlib.figure import Figure
 
@@ -144,7 +155,7 @@ def draw(study: Study, target: Path) -> Path:
     return figures.save(figure, target)
 
 
-def report(study: Study) -> str:
+def report(study: ConvergenceStudy) -> str:
     """The study as a table and a verdict."""
     head = ["metric", *(f"{step:g} s{'*' if step == study.own else ''}" for step in study.steps), "order", "error*", ""]
     rows = [head]
@@ -161,7 +172,8 @@ def report(study: Study) -> str:
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
 
 
-def as_json(study: Study) -> dict[str, Any]:
+def as_json(study: ConvergenceStudy) -> dict[str, Any]:
+    """The study, as JSON can hold it."""
     return {
         "experiment": study.experiment,
         "step": study.own,
@@ -178,29 +190,6 @@ def as_json(study: Study) -> dict[str, Any]:
             for m in study.metrics
         },
     }
-
-
-def _run(step: float, arguments: Sequence[str], told: Callable[[str], None]) -> dict[str, Any]:
-    orch = [sys.executable, "-m", "orchestrator.cli.main"]
-    command = [*orch, "run", *arguments, "--json", "--set", f"master.step={step!r}"]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
-    if process.returncode:
-        error = process.stderr.strip()
-        raise (RunError if process.returncode == 3 else OrchError)(f"at a step of {step:g} s: {error}")
-    result: dict[str, Any] = json.loads(process.stdout)
-    told(f"{step:g} s: {result['wall_time']:.1f} s of wall time")
-    return result
-
-
-def _misfit(plan: Plan, step: float) -> str:
-    """Why the experiment cannot run at this step, or ""."""
-    experiment, grid = plan.experiment, Grid(step)
-    durations = {"master.stop_time": experiment.master.stop_time, "record.every": experiment.record.every}
-    durations |= {f"components.{c.name}.step": c.step for c in experiment.components if c.step is not None}
-    for key, duration in durations.items():
-        if not grid.ticks(duration):
-            return f"does not divide {key} = {duration:g} s"
-    return ""
 
 
 def _number(value: float | None) -> float:

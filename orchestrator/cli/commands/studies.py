@@ -14,7 +14,6 @@ from .options import (
     json_option,
     packaging_option,
     pairs,
-    prepared,
     results_option,
     silent,
     swaps_of,
@@ -44,25 +43,21 @@ def converge(
     orch converge experiments/spiral_pid.toml
     orch converge experiments/spiral_pid.toml --swap controller=mfsosmc --steps 1e-3,5e-4,2.5e-4
     """
-    from ... import metrics
-    from ...studies import convergence as study
+    from ...studies import convergence
     from ...views import figures
     from ..text import show
 
     target = figures.target(output or Path(results) / "_converge" / f"{Path(experiment).stem}.png", [experiment])
-    plan = prepared(experiment, sets, swaps, silent if as_json else tell)
     try:
-        chosen = [float(step) for step in steps.split(",")] if steps else study.default_steps(plan)
+        chosen = [float(step) for step in steps.split(",")] if steps else []
     except ValueError:
         raise click.UsageError(f"--steps {steps}: write numbers of seconds, such as --steps 1e-3,5e-4,2.5e-4") from None
-    arguments = [experiment, "--results", results]
-    arguments += [word for text in sets for word in ("--set", text)] + [w for text in swaps for w in ("--swap", text)]
-    units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
-    names = {name: metrics.unit_of(spec, units) for name, spec in plan.experiment.metrics.items()}
-    found = study.study(plan, chosen, arguments, names, silent if as_json else tell)
-    study.draw(found, target)
-    click.echo(json.dumps(study.as_json(found)) if as_json else f"{study.report(found)}\n{show.short(target)}")
-    return 0 if found.converged else 1
+    changes = pairs("--set", sets), swaps_of(swaps)
+    study = convergence.study(experiment, chosen, *changes, results, silent if as_json else tell)
+    convergence.draw(study, target)
+    text = f"{convergence.report(study)}\n{show.short(target)}"
+    click.echo(json.dumps(convergence.as_json(study)) if as_json else text)
+    return 0 if study.converged else 1
 
 
 @click.command(

@@ -9,10 +9,10 @@ from pathlib import Path
 from .... import metrics
 from ....errors import RunError, StoreError
 from ....experiment.reader import load
-from ....models import build, catalogue
 from ....plan.plan import Plan
 from ....records.file.run import Run
 from ....records.store.folder import Store
+from ....runs.prepare import build_models
 from ... import processes
 from ...progress import CommandProgress
 from .chapter5 import CASES, Case
@@ -37,7 +37,7 @@ def run_cases(cases: Sequence[Case], results: str | Path, report: Report) -> lis
     report: called with each model that is built and each case that has run.
     Raises OrchError where a case cannot run, RunError where one fails.
     """
-    build.build(_models(), report)
+    build_models({c.fmu: "auto" for case in CASES.values() for c in load(case.path).components}, report)
     plans = [case.plan() for case in cases]
     store = Store(results)
     missing = {p.digest: (c, p) for c, p in zip(cases, plans, strict=True) if _completed(store, p) is None}
@@ -46,12 +46,6 @@ def run_cases(cases: Sequence[Case], results: str | Path, report: Report) -> lis
     commands = [processes.run_of(case.key, plan, results) for case, plan in missing.values()]
     processes.run_plans(commands, CommandProgress(len(commands), report))
     return [_record(case, plan, store) for case, plan in zip(cases, plans, strict=True)]
-
-
-def _models() -> list[str]:
-    """The shipped FMUs that the cases use."""
-    models = {component.fmu for case in CASES.values() for component in load(case.path).components}
-    return sorted(name for name in models if name in catalogue.known())
 
 
 def _completed(store: Store, plan: Plan) -> Path | None:

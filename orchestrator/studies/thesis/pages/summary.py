@@ -27,7 +27,6 @@ def text(reproduction: Reproduction, folder: str) -> str:
 
 def as_json(reproduction: Reproduction) -> dict[str, Any]:
     """The whole, as JSON can hold it."""
-    figures = [FIGURES[number] for number in reproduction.figures]
     return {
         "passed": not reproduction.outside,
         "quick": reproduction.quick,
