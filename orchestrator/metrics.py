@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .errors import Problem, did_you_mean
-from .fmu.units import KNOWN, conversion
+from .fmu.units import alternatives, conversion
 
 if TYPE_CHECKING:
     from .arrays import Reals, Signals
@@ -229,8 +229,9 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
     if spec.get("stat", "mean") not in STATISTICS:
         problem("stat", f"no {spec['stat']!r}{did_you_mean(str(spec['stat']), STATISTICS)}")
     if "unit" in spec and spec.get("signal") in units and not _factor(spec["unit"], units[spec["signal"]]):
-        possible = [name for name in KNOWN if _factor(name, units[spec["signal"]])]
-        problem("unit", f"{units[spec['signal']]!r} does not convert to {spec['unit']!r}{did_you_mean('', possible)}")
+        own = units[spec["signal"]]
+        near = did_you_mean(spec["unit"], alternatives(own or "1"))
+        problem("unit", f"{own!r} does not convert to {spec['unit']!r}{near}")
     return result
 
 

@@ -150,6 +150,8 @@ def test_an_fmu_whose_source_is_gone_still_runs(fresh, model, write, tmp_path):
         ("x = 1\n", "one class derived from Model or PythonModel; this one has none"),
         (MODELS["clock"] + MODELS["relay"], "this one has Clock, Relay"),
         (MODELS["clock"].replace("def do_step", "def step"), "this one has none"),
+        (MODELS["clock"].replace('"m"', '"furlong"'), "unit 'furlong': 'furlong' is unknown; known: 1, -, %, m, mm"),
+        (MODELS["clock"].replace('"m"', '"m s"'), "unit 'm s': 'm s' is not a symbol with an exponent"),
     ],
 )
 def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path, source, words):

@@ -15,6 +15,8 @@ from conftest import needs_compiler
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
+from orchestrator.fmu import units
+from orchestrator.fmu.fmu import read
 from orchestrator.models import build, catalogue, stamps
 
 FMUS = sorted(catalogue.shipped())
@@ -169,6 +171,9 @@ def test_every_real_variable_has_a_unit_that_is_defined(shipped, name):
         if variable.type == "Real":
             assert variable.unit in defined, variable.name
         assert variable.description, variable.name
+    assert {unit: str(meaning) for unit, meaning in read(shipped[name]).units.items()} == {
+        unit: str(units.parse(unit)) for unit in defined
+    }
 
 
 @every_fmu

@@ -154,6 +154,18 @@ def test_check_notes_a_window_that_no_sample_falls_into(orch, write, waves):
 
 
 @pytest.mark.parametrize(
+    ("signal", "unit", "factor"),
+    [("ramp", "mm", 1e3), ("ramp", "km", 1e-3), ("sine.b", "deg", 180 / math.pi), ("rate", "rpm", 30 / math.pi)],
+)
+def test_a_metric_converts_to_any_unit_of_the_same_quantity(orch, write, waves, signal, unit, factor):
+    spec = {"of": "max_abs", "signal": f"one.{signal}"}
+    table = merged(waves, {"metrics": {"own": spec, "other": {**spec, "unit": unit}}})
+    values = orch("run", write(table), "--json").json["metrics"]
+    assert values["other"] == pytest.approx(values["own"] * factor, rel=1e-15)  # one rounding
+    assert values["own"] > 0
+
+
+@pytest.mark.parametrize(
     ("spec", "key", "words"),
     [
         ({"signal": "one.ramp"}, "of", "is missing; known: rmse"),
@@ -166,6 +178,8 @@ def test_check_notes_a_window_that_no_sample_falls_into(orch, write, waves):
         ({"of": "rmse", "signal": "one.ramp"}, "reference", "is missing"),
         ({"of": "rmse", "signal": "one.ramp", "reference": "two.sine.b"}, "reference", "is in 'rad', one.ramp in 'm'"),
         ({"of": "rms", "signal": "one.ramp", "unit": "deg"}, "unit", "'m' does not convert to 'deg'"),
+        ({"of": "rms", "signal": "one.ramp", "unit": "mn"}, "unit", "did you mean 'm'? known: m, mm, cm, km"),
+        ({"of": "rms", "signal": "one.rate", "unit": "deg/m"}, "unit", "did you mean 'deg/s'?"),
         ({"of": "rms", "signal": "one.ramp", "unit": ["mm"]}, "unit", "not a text"),
         ({"of": "rms", "signal": "one.ramp", "affter": 1.0}, "affter", "did you mean 'after'"),
         ({"of": "rms", "signal": "one.ramp", "after": "1"}, "after", "'1', not a number"),

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 from uuv.modelling.declare import Declared, Scalar
 from uuv.modelling.equations import Equations
 
-from .units import base_unit
+from orchestrator.fmu.units import BASE, parse
 
 TYPES = {float: "Real", int: "Integer", bool: "Boolean"}
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll")
@@ -48,8 +48,7 @@ def model_description(
             ET.SubElement(files, "File", name=source)
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in sorted({s.unit for s in scalars if s.type is float}):
-        attributes = {key: f"{value:.17g}" for key, value in base_unit(unit).items()}
-        ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", attributes)
+        ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", _base_unit(unit))
     categories = ET.SubElement(root, "LogCategories")
     for category in LOG_CATEGORIES:
         ET.SubElement(categories, "Category", name=category)
@@ -74,6 +73,18 @@ def model_description(
                 _unknown(element, index[scalar.name], known)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _base_unit(unit: str) -> dict[str, str]:
+    """The attributes of BaseUnit.  Raises ValueError for a unit that is not known."""
+    try:
+        known = parse(unit)
+    except ValueError as error:
+        raise ValueError(f"unit {unit!r}: {error}") from None
+    attributes = {base: str(exponent) for base, exponent in zip(BASE, known.exponents, strict=True) if exponent}
+    scale = {"factor": known.factor} if known.factor != 1.0 else {}
+    scale |= {"offset": known.offset} if known.offset else {}
+    return attributes | {name: f"{value:.17g}" for name, value in scale.items()}
 
 
 def _variable(scalar: Scalar) -> ET.Element:

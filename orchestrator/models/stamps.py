@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-from .catalogue import models_folder, stamp_path
+from .catalogue import PACKAGE, models_folder, stamp_path
 from .compiler import Compiler
 
 
@@ -52,10 +52,10 @@ def fresh(fmu: Path, source: Path, compiler: Compiler | None) -> Stamp | None:
 
 @cache
 def tools(compiler: Compiler | None) -> str:
-    """Digest of what besides the model decides its FMU's bytes: the packager, and the compiler or pythonfmu."""
+    """Digest of what besides the model decides its FMU's bytes: packager, units, and the compiler or pythonfmu."""
     maker = compiler.identity if compiler else importlib.metadata.version("pythonfmu")
     digest = hashlib.sha256(maker.encode())
-    for file in sorted((models_folder() / "packager").glob("*.[pc]*")):
+    for file in (*sorted((models_folder() / "packager").glob("*.[pc]*")), PACKAGE / "fmu" / "units.py"):
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ...errors import StoreError, did_you_mean
+from ...fmu.units import readable
 from ...names import matches, split_axis
 from ...records.compare.labels import differences
 from .. import figures
@@ -24,7 +25,6 @@ from .panels import GREY, Curve, Panel, colour, draw_rows, plain, symbol
 if TYPE_CHECKING:
     from ...records.file.run import Run
 
-ANGLES = ("rad", "rad/s", "rad/s2")  # drawn in degrees
 WIDTH = 10.0  # inches
 LEFT = 0.012  # where the title begins, of the width
 LINE = 0.195  # inches, of a legend
@@ -181,7 +181,7 @@ def _chosen(runs: Sequence[Run], globs: Sequence[str]) -> list[Panel]:
 
 def _panel(runs: Sequence[Run], title: str, names: Sequence[str], unit: str) -> Panel:
     """Signals that share a unit, angles in degrees; the components of an array side by side."""
-    shown, factor = (unit.replace("rad", "deg"), 180.0 / np.pi) if unit in ANGLES else (unit, 1.0)
+    shown, factor = readable(unit)
     symbols = [symbol(_split(name)[1] or name.rpartition(".")[2]) for name in names]
     curves: list[Curve] = []
     for i, run in enumerate(runs):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import metrics
+from ...fmu.units import readable
 from ...names import split_axis
 from ...records.compare.vehicles import AXES, Vehicle
 from .arrays import packed, thin
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 DEG = 180.0 / np.pi
-ANGLES = ("rad", "rad/s", "rad/s2")  # drawn in degrees
 LETTERS = {"phi": "φ", "theta": "θ", "psi": "ψ"}
 LEAST = {"m": 0.1, "deg": 1.0}  # extent of a state's axis: rest is drawn as rest, not as micrometres of motion
 MAX_PANELS = 60  # of a run without vehicles
@@ -152,11 +152,11 @@ def _signals(runs: Sequence[Run]) -> list[dict[str, Any]]:
             if not np.issubdtype(values.dtype, np.number) or values.ndim > 1 or not len(values):
                 continue
             unit = run.units(name)
-            factor = DEG if unit in ANGLES else 1.0
+            shown, factor = readable(unit)
             component, _, variable = name.partition(".")
             head, axis = split_axis(variable)
             title = name if len(runs) > 1 or (axis == "z" and unit == "m") else f"{component}.{head}"
-            panel = panels.setdefault((title, unit), _panel(title, unit.replace("rad", "deg"), [], down=axis == "z"))
+            panel = panels.setdefault((title, unit), _panel(title, shown, [], down=axis == "z"))
             tone = colours(i if len(runs) > 1 else len(panel["curves"]), 0)
             curve = _points(run.time, values * factor) | {"name": axis or head, "keys": [f"run{i}"], "colour": tone}
             panel["curves"].append(curve)

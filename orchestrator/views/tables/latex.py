@@ -6,25 +6,9 @@ import itertools
 import re
 from collections.abc import Sequence
 
-UNITS = {
-    "m": r"\metre",
-    "mm": r"\milli\metre",
-    "cm": r"\centi\metre",
-    "rad": r"\radian",
-    "deg": r"\degree",
-    "s": r"\second",
-    "N": r"\newton",
-    "Pa": r"\pascal",
-    "J": r"\joule",
-    "W": r"\watt",
-    "V": r"\volt",
-    "A": r"\ampere",
-    "Hz": r"\hertz",
-    "kg": r"\kilogram",
-    "K": r"\kelvin",
-    "%": r"\percent",
-}
-POWERS = {"": "", "2": r"\squared", "3": r"\cubed"}
+from ...fmu import units
+
+POWERS = {1: "", 2: r"\squared", 3: r"\cubed"}
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "…": r"\ldots{}"}
 SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
 
@@ -36,15 +20,20 @@ def escape(text: str) -> str:
 
 def unit(text: str) -> str:
     r"""A unit as FMUs write it, such as m/s2 or (m)2.s: \unit{\metre\per\second\squared}; as text where unknown."""
-    above, *below = text.split("/")
-    macros = ""
-    for i, part in enumerate([above, *below]):
-        for factor in part.split("."):
-            match = re.fullmatch(r"\(?([A-Za-z%]+?)\)?(\d?)", factor)
-            if not match or match[1] not in UNITS or match[2] not in POWERS:
-                return rf"\unit{{\text{{{escape(text)}}}}}" if text else ""
-            macros += (r"\per" if i else "") + UNITS[match[1]] + POWERS[match[2]]
+    if not text:
+        return ""
+    try:
+        factors = units.factors(re.sub(r"\(([A-Za-z%]+)\)", r"\1", text))
+    except ValueError:
+        return rf"\unit{{\text{{{escape(text)}}}}}"
+    macros = "".join(_macro(symbol, exponent) for symbol, exponent in factors)
     return rf"\unit{{{macros}}}"
+
+
+def _macro(symbol: str, exponent: int) -> str:
+    r"""\per\second\squared of ("s", -2)."""
+    power = POWERS.get(abs(exponent), rf"\tothe{{{abs(exponent)}}}")
+    return (r"\per" if exponent < 0 else "") + units.SYMBOLS[symbol].latex + power
 
 
 def number_format(numbers: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ....views.tables.latex import unit as latex_unit
 from ..cases.chapter5 import CASES, LABELS, case_name, thesis_folder
 
 CAPTIONS = {
@@ -229,11 +230,10 @@ def _of(table: str, verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _latex_quantity(cell: Cell) -> str:
-    unit = {"m": r"\metre", "deg": r"\degree"}.get(cell.unit)
     kind, _, axis = cell.quantity.partition("_")
     symbol = f"T_{axis[1:]}" if axis[:1] == "T" else rf"\{axis}" if len(axis) > 1 else axis
     name = f"{kind} ${symbol}$" if axis else "Mean"
-    return name + (rf" (\unit{{{unit}}})" if unit else "")
+    return name + (f" ({latex_unit(cell.unit)})" if cell.unit != "1" else "")
 
 
 def _percent(error: float) -> str:
