@@ -218,9 +218,9 @@ def test_another_controller_takes_over_from_a_checkpoint(orch, spiral, write, tm
     assert Path(checkpoint).name == f"{done['run_id']}.at-0.03.checkpoint"
     branch = orch("run", "--from", checkpoint, "--swap", "controller=mfsosmc", "--set", "master.stop_time=0.08")
     assert branch.code == 0, branch.err
-    assert f"from              run {done['run_id']} at t = 0.03 s; begun anew: controller" in branch.out
+    assert f"from              run {done['run_id']} at t = 0.03 s; reinitialized: controller" in branch.out
     shown = orch("show", "last")
-    assert f"run {done['run_id']} at t = 0.03 s, {checkpoint}; begun anew: controller" in shown.out
+    assert f"run {done['run_id']} at t = 0.03 s, {checkpoint}; reinitialized: controller" in shown.out
     facts = orch("show", "last", "--json").json
     assert facts["from_time"] == 0.03
     assert facts["from_run"] == done["run_id"]
@@ -320,7 +320,11 @@ def checkpoint(shipped, spiral, write, tmp_path):
         ({"master.algorithm": "jacobi"}, "master.algorithm", "is jacobi, and was gauss-seidel"),
         ({"master.stop_time": 0.03}, "master.stop_time", "already is at t = 0.03 s"),
         ({"components.controller.step": 0.005}, "components.controller.step", "is 5 steps of the master, and was 1"),
-        ({"components.controller.fmu": "mfsosmc"}, "components.controller.fmu", "--swap controller=FMU begins it anew"),
+        (
+            {"components.controller.fmu": "mfsosmc"},
+            "components.controller.fmu",
+            "--swap controller=FMU reinitializes it",
+        ),
         ({"components.controller.parameters.K_p.x": 3.0}, "components.controller.parameters.K_p.x", "is 3.0, and was"),
         ({"components.more.fmu": "ocean_current"}, "components.more", "is not in"),
     ],

@@ -7,15 +7,28 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from ..experiment.experiment import Experiment
 from ..fmu.fmu import Fmu
 from ..fmu.variables import Variable
 from ..names import ETA_AXES, NU_AXES
 
-if TYPE_CHECKING:
-    from ..runs.checkpoint.file import Checkpoint
+
+class Origin(Protocol):
+    """Where a run goes on from, in place of its beginning.  Its text is shown."""
+
+    @property
+    def tick(self) -> int:
+        """Of the master, at which the run goes on."""
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What of it decides the numbers of the run, as JSON can hold it."""
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the record of the run says of it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +92,7 @@ class Plan:
     notes: tuple[str, ...]
     created: str = ""  # when, where a component is live: each such run is one of its kind
     watched: tuple[tuple[str, Variable], ...] = ()
-    origin: Checkpoint | None = None  # where it goes on from; None: from the beginning
+    origin: Origin | None = None  # where it goes on from; None: from the beginning
 
     @property
     def warnings(self) -> list[str]:

@@ -92,7 +92,7 @@ def _continued(
 ) -> Plan:
     """`prepare` for a run that goes on from a checkpoint."""
     from .checkpoint.file import open_checkpoint
-    from .checkpoint.resume import attach
+    from .checkpoint.fit import attach
 
     checkpoint = open_checkpoint(start_from)
     experiment = load_experiment(path, set, swap) if path is not None else _saved(checkpoint, set, swap)

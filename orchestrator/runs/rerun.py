@@ -15,8 +15,8 @@ from ..plan.resolve import resolve
 from ..records.compare.bits import Difference, Kept, compare
 from ..records.file.run import Run
 from . import runner
-from .checkpoint import resume
 from .checkpoint.file import open_checkpoint
+from .checkpoint.fit import attach
 from .prepare import build_models
 
 
@@ -48,7 +48,7 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
         checkpoint = open_checkpoint(facts["from_file"])
         if checkpoint.about["digest"] != origin["checkpoint_sha256"]:
             raise StoreError(f"{record.path} went on from {checkpoint.path}, which is another checkpoint today")
-        plan = resume.attach(plan, checkpoint, origin["fresh"])
+        plan = attach(plan, checkpoint, origin["fresh"])
     return plan
 
 

@@ -25,6 +25,7 @@ from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
 from ..simulation.observer import Observer, Outcome, interruptible
 from ..simulation.system import Context, System
+from .checkpoint.file import Checkpoint
 from .checkpoint.observer import CheckpointObserver, paths_of, ticks_of
 from .checkpoint.resume import resume
 from .prepare import prepare
@@ -107,7 +108,7 @@ def execute(
             return _recall(run_id, final, plan)
         recorder, saver = Recorder(path, plan, run_id), CheckpointObserver(system, run_id, due)
         try:
-            begin = partial(resume, plan.origin) if plan.origin else initialize
+            begin = partial(resume, plan.origin) if isinstance(plan.origin, Checkpoint) else initialize
             outcome = run_master(system, [recorder, *observers, saver], interrupt, begin)
             outcome.warnings += saver.warnings()
             recorder.flush()

@@ -48,7 +48,7 @@ Examples:
     multiple=True,
     help="Save the run at T seconds, beside its record.  Repeatable.",
 )
-@click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names begins anew.")
+@click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names is reinitialized.")
 @click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @live_options

@@ -91,8 +91,8 @@ def _origin(facts: Mapping[str, Any]) -> str:
     if "from_run" not in facts:
         return ""
     fresh = facts["experiment_resolved"]["from"]["fresh"]
-    anew = f"; begun anew: {', '.join(fresh)}" if fresh else ""
-    return f"run {facts['from_run']} at t = {facts['from_time']:.10g} s, {short(Path(facts['from_file']))}{anew}"
+    again = f"; reinitialized: {', '.join(fresh)}" if fresh else ""
+    return f"run {facts['from_run']} at t = {facts['from_time']:.10g} s, {short(Path(facts['from_file']))}{again}"
 
 
 def _timing(timing: Mapping[str, Any]) -> list[str]:

@@ -10,7 +10,8 @@ from ...errors import ExperimentError, Problem
 from ...plan.plan import Component, Plan
 from ...simulation.observer import Observer
 from ...simulation.system import System
-from . import file
+from .file import path_of
+from .save import save
 
 ABLE = ("canGetAndSetFMUstate", "canSerializeFMUstate")
 
@@ -27,7 +28,7 @@ class CheckpointObserver(Observer):
 
     def progress(self, tick: int) -> None:
         if tick in self._due and self._due[tick] not in self.saved:
-            file.save(self._system, tick, self._run_id, self._due[tick])
+            save(self._system, tick, self._run_id, self._due[tick])
             self.saved.append(self._due[tick])
 
     def warnings(self) -> list[str]:
@@ -41,7 +42,7 @@ class CheckpointObserver(Observer):
 
 def paths_of(plan: Plan, ticks: Iterable[int], record: Path) -> dict[int, Path]:
     """{tick: file} of the checkpoints of a run, beside its record."""
-    return {tick: file.path_of(record, plan.experiment.grid.time(tick)) for tick in sorted(ticks)}
+    return {tick: path_of(record, plan.experiment.grid.time(tick)) for tick in sorted(ticks)}
 
 
 def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
