@@ -1,5 +1,8 @@
 """What alternates from step to step is reported: the signature of a controller held beyond its stability limit."""
 
+import json
+
+import h5py
 import pytest
 
 from orchestrator import open_run, run
@@ -97,5 +100,26 @@ def test_mfsosmc_held_over_a_millisecond_is_reported_and_pid_is_not(orch, spiral
     assert answer.code == 0
     assert "warning: controller.tau" in answer.err
     assert "beyond its stability limit" in answer.err
-    assert open_run("last", tmp_path / "results").attributes["warnings"]
+    record = open_run("last", tmp_path / "results")
+    assert [warning.kind for warning in record.warnings] == record.attributes["warning_kinds"]
+    assert {"unstable"} == set(record.attributes["warning_kinds"])
+    assert record.is_wrong
     assert "warning: controller.tau" in orch("show", "last").out
+
+
+def test_a_record_without_kinds_of_warnings_is_read_and_repeated_as_it_was_made(orch, spiral, write, tmp_path):
+    spiral["master"]["stop_time"] = 0.1
+    made = orch("run", write(spiral), "--swap", "controller=mfsosmc", "--json").json
+    assert set(made["warning_kinds"]) == {"unstable"}
+    with h5py.File(tmp_path / made["file"], "r+") as file:
+        del file.attrs["warning_kinds"]
+        file.attrs["warnings"] = json.dumps(
+            ["controller.tau (X) alternates from step to step: the loop is beyond its stability limit"]
+        )
+    record = open_run("last", tmp_path / "results")
+    assert record.is_wrong
+    again = orch("rerun", "last", "--verify")
+    assert again.code == 0, again.out
+    assert orch("run", tmp_path / "mine.toml", "--swap", "controller=mfsosmc", "--json").json["warning_kinds"] == [
+        "unstable"
+    ]

@@ -164,6 +164,8 @@ def test_a_warning_of_an_fmu_is_kept_and_the_run_goes_on(run, orch, write, probe
     answer, record = run(single(probe, mode=9))
     assert answer.code == 0
     assert answer.json["warnings"] == record.attributes["warnings"] == ["one: the probe feels warm"]
+    assert answer.json["warning_kinds"] == [""]
+    assert not record.is_wrong
     assert "warning: one: the probe feels warm" in orch("run", write(single(probe, mode=9)), "--force").err
 
 

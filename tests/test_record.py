@@ -45,6 +45,7 @@ ATTRIBUTES = {
     "Conventions": str,
     "metrics": dict,
     "warnings": list,
+    "warning_kinds": list,
     "timing": dict,
     "command": list,
     "platform": str,
@@ -53,7 +54,7 @@ ATTRIBUTES = {
     "hostname": str,
     "digest": str,
 }
-JSON = ("experiment_resolved", "versions", "metrics", "warnings", "timing", "command")
+JSON = ("experiment_resolved", "versions", "metrics", "warnings", "warning_kinds", "timing", "command")
 TYPES = {
     "y": np.float64,
     "u": np.float64,

@@ -12,7 +12,7 @@ from conftest import ORCH, merged, poll, single
 
 import orchestrator
 
-KEYS = {"run_id", "file", "status", "wall_time", "real_time_factor", "metrics", "warnings", "error"}
+KEYS = {"run_id", "file", "status", "wall_time", "real_time_factor", "metrics", "warnings", "warning_kinds", "error"}
 
 
 def record(answer, folder):

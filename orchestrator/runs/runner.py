@@ -184,7 +184,7 @@ def _recall(run_id: str, path: Path, plan: Plan) -> Result:
             attributes["wall_time"],
             attributes["real_time_factor"],
             metrics.evaluate(record, plan.experiment.metrics),
-            attributes["warnings"],
+            record.warnings,
             attributes["error"],
             attributes.get("stopped_at"),
             repeated=False,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..names import split_axis
+from ..warning import Kind, Warned
 from .system import System
 
 SHARE = 0.5  # of its component's steps, above which a signal is reported
@@ -84,7 +85,7 @@ class Alternations:
     def warnings(self, ticks: int) -> list[str]:
         """A sentence for each vector that alternated for most of the run.  ticks: how many it looked at."""
         step = self._system.plan.experiment.master.step
-        found = []
+        found: list[str] = []
         for stepper in self._system.steppers:
             steps = ticks // self.every // stepper.component.period
             if steps < FEWEST_STEPS:
@@ -103,12 +104,13 @@ class Alternations:
             for vector, shares in worst.items():
                 axes = f" ({' '.join(shares)})" if any(shares) else ""
                 held = step * stepper.component.period
-                found.append(
+                text = (
                     f"{stepper.component.name}.{vector}{axes} alternates from step to step in "
                     f"{max(shares.values()):.0%} of the run: held over {held:g} s, "
                     "the loop is beyond its stability limit and the result is wrong "
                     f"even where it looks right; take a smaller step (orch converge shows which)"
                 )
+                found.append(Warned(text, Kind.UNSTABLE))
         return found
 
 

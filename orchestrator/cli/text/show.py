@@ -19,6 +19,7 @@ from ...simulation.timing import PHASES
 from ...views.tables import system
 from ...views.tables.terminal import columns_of
 from ...views.tables.terminal import short as short  # of the tables
+from ...warning import kinds_of
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from ...records.file.run import Run
@@ -155,6 +156,7 @@ def result_as_json(result: Result) -> dict[str, Any]:
         "real_time_factor": result.real_time_factor,
         "metrics": finite(result.metrics),
         "warnings": list(result.warnings),
+        "warning_kinds": kinds_of(result.warnings),
         "error": result.error,
         **({"checkpoints": list(map(str, result.checkpoints))} if result.checkpoints else {}),
     }
@@ -164,7 +166,7 @@ def not_started(error: OrchError) -> dict[str, Any]:
     """The JSON of a run that did not begin, or whose record could not be kept."""
     empty = dict.fromkeys(("run_id", "file", "wall_time", "real_time_factor"))
     status = "not started" if error.exit_code == 2 else "failed"
-    return {**empty, "status": status, "metrics": {}, "warnings": [], "error": str(error)}
+    return {**empty, "status": status, "metrics": {}, "warnings": [], "warning_kinds": [], "error": str(error)}
 
 
 def problems_as_json(error: ExperimentError) -> dict[str, Any]:

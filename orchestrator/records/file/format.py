@@ -12,6 +12,7 @@ JSON = (
     "versions",
     "metrics",
     "warnings",
+    "warning_kinds",
     "timing",
     "command",
     "changes",

@@ -49,6 +49,7 @@ def attributes_of(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str
         "hostname": socket.gethostname(),
         "metrics": "{}",
         "warnings": "[]",
+        "warning_kinds": "[]",
         "timing": "{}",
         "experiment_path": str(experiment.path.resolve()),
         "changes": json.dumps(experiment.changes),

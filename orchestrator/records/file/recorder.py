@@ -25,6 +25,7 @@ from ...fmu.variables import DTYPES
 from ...metrics import finite
 from ...plan.plan import Plan
 from ...simulation.observer import Block, Observer, Outcome
+from ...warning import kinds_of
 from .access import being_written, first_line, patiently
 from .datasets import TIME, Signal, attach_scales, image, signals_of
 from .format import HEARD
@@ -114,6 +115,7 @@ class Recorder(Observer):
             "wall_time": wall_time,
             "real_time_factor": factor,
             "warnings": json.dumps(outcome.warnings),
+            "warning_kinds": json.dumps(kinds_of(outcome.warnings)),
             "timing": json.dumps(outcome.timing),
         }
         attributes: dict[str, Any] = {}

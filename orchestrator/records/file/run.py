@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import h5py
 import numpy as np
 
+from ... import warning
 from ...errors import StoreError, did_you_mean
+from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
 from .format import HEARD, JSON
 
@@ -141,6 +143,16 @@ class Run:
     @property
     def metrics(self) -> dict[str, float]:
         return {name: math.nan if v is None else float(v) for name, v in self.attributes["metrics"].items()}
+
+    @property
+    def warnings(self) -> list[Warned]:
+        """What the run warns of, each text with its `kind`."""
+        return warning.read(self.attributes)
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the run says itself that its numbers are wrong."""
+        return warning.are_wrong(self.warnings)
 
     def to_dataframe(self) -> pd.DataFrame:
         """All signals as columns, indexed by time [s]."""
