@@ -1,7 +1,7 @@
 """Files spoiled at random are refused with a sentence, or run.  ORCH_FUZZ=10 tries 10 000 and 2 000 (`make fuzz`).
 
-A mutant that breaks a rule is tried again, alone, by `python tests/mutants.py experiments --only NUMBER`; what it found
-gets a test of its own below.
+A mutant that breaks a rule is tried again, alone, by `python tests/peers/mutants.py experiments --only NUMBER`; what
+it shows gets a test of its own below.
 """
 
 import os
@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import PROBE_VARIABLES, merged, paper_fmu
 
+PEERS = Path(__file__).parent / "peers"
 FUZZ = int(os.environ.get("ORCH_FUZZ", "1"))
 EXPERIMENTS = 500 if FUZZ == 1 else 1000 * FUZZ
 ARCHIVES = 500 if FUZZ == 1 else 200 * FUZZ
@@ -21,7 +22,7 @@ def mutants(tmp_path, *arguments):
     """What the process says that tries them."""
     (tmp_path / "work").mkdir()
     (tmp_path / "tmp").mkdir()
-    command = [sys.executable, Path(__file__).with_name("mutants.py"), *map(str, arguments)]
+    command = [sys.executable, PEERS / "mutants.py", *map(str, arguments)]
     done = subprocess.run(
         command,
         cwd=tmp_path / "work",

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import EXPERIMENTS, ORCH
+from peers.station import Station, free_port, ftp_answer, named, unpacked
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from station import Station, free_port, ftp_answer, named, unpacked
 
 ACCEPTED, UNSUPPORTED, FAILED = 0, 3, 4
 RATES = {  # Hz: ArduSub's
@@ -318,7 +318,7 @@ def test_a_tcp_client_that_never_reads_holds_up_nobody(bridge, station):
 
 @pytest.mark.parametrize("seconds", [1.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_junk_and_a_flood_of_requests_do_not_stop_the_heartbeat(bridge, station, seconds):
-    from flood import flood
+    from peers.flood import flood
 
     resident = flood(bridge.udpin, bridge.process.pid, seconds, station)
     beats = [

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 from conftest import EXPERIMENTS, ORCH
-from station import Station, close_to, free_port, named
+from peers.station import Station, close_to, free_port, named
 
 from orchestrator.mavlink.vehicle.frame import FACTORS
 

@@ -13,9 +13,9 @@ import h5py
 import numpy as np
 import pytest
 from conftest import EXPERIMENTS, ORCH, merged
+from peers.station import Station, close_to, free_port, named
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from station import Station, close_to, free_port, named
 
 GRIPPING = str(EXPERIMENTS / "gripping_currents.toml")
 

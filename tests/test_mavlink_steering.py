@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 from conftest import ORCH, merged
-from fake_ardupilot import PACKET, FakeArdupilot, hover, parsed
+from peers.ardupilot import PACKET, FakeArdupilot, hover, parsed
+from peers.station import Station, free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from station import Station, free_port
 
 from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply

@@ -22,6 +22,7 @@ from orchestrator.errors import OrchError
 from orchestrator.fmu.fmu import platform_folder
 from orchestrator.runs.prepare import prepare
 
+PEERS = Path(__file__).parent / "peers"
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 HEAD = """<?xml version="1.0" encoding="UTF-8"?>
@@ -612,7 +613,7 @@ def test_other_masters_compute_the_same_from_the_ssp(orch, tmp_path, master, exp
     }
     (tmp_path / "task.json").write_text(json.dumps(task))
     subprocess.run(
-        [sys.executable, Path(__file__).with_name("ssp_peer.py"), master, "system.ssp", "task.json", "rows.npy"],
+        [sys.executable, PEERS / "ssp_masters.py", master, "system.ssp", "task.json", "rows.npy"],
         cwd=tmp_path,
         check=True,
     )

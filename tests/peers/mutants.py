@@ -1,8 +1,8 @@
 """Experiment files and FMUs spoiled at random, and what orch says to them: all in this one process.
 
-    python mutants.py experiments --count 500 --seed 1
-    python mutants.py archives --count 100 --seed 1
-    python mutants.py experiments --only 1234 --seed 1        one again, with all that orch says
+    python tests/peers/mutants.py experiments --count 500 --seed 1
+    python tests/peers/mutants.py archives --count 100 --seed 1
+    python tests/peers/mutants.py experiments --only 1234 --seed 1        one again, with all that orch says
 
 Works in the current folder.  A mutant must be refused with a sentence (exit code 2), or be valid (0; of a run also 3):
 no traceback, no crash, no command over 10 s, no file written but in results/ and where temporary files go.  Prints what
@@ -31,7 +31,7 @@ from pathlib import Path
 from orchestrator.cli import main as cli
 from orchestrator.models import build
 
-EXPERIMENTS = Path(__file__).parent.parent / "experiments"
+EXPERIMENTS = Path(__file__).parent.parent.parent / "experiments"
 LONGEST = 10.0  # s that a command may take
 MODELS = (
     "pid",

@@ -1,6 +1,6 @@
 """Another master on an SSP, in a process of its own.
 
-    python ssp_peer.py libcosim|ecos SYSTEM.ssp TASK.json ROWS.npy
+    python ssp_masters.py libcosim|ecos SYSTEM.ssp TASK.json ROWS.npy
 
 TASK.json: {"step": s, "stride": steps between rows, "rows": how many, "signals": ["component.variable", ...]}.
 ROWS.npy: (rows, signals), the first after `stride` steps.
