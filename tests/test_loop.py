@@ -15,9 +15,9 @@ from conftest import COMPILER, EXPERIMENTS, ORCH, merged, needs_compiler, poll, 
 
 import orchestrator
 from orchestrator.experiment.timegrid import Grid
-from orchestrator.simulation.loop import extension
+from orchestrator.simulation.loop import compiled
 
-pytestmark = pytest.mark.skipif(extension() is None, reason="orch was installed without a C compiler")
+pytestmark = pytest.mark.skipif(compiled() is None, reason="orch was installed without a C compiler")
 
 FILES = sorted(EXPERIMENTS.rglob("*.toml"))
 OTHER_FACTS = ("status", "error", "warnings", "failed_at", "stopped_at", "metrics")
@@ -137,6 +137,36 @@ def test_a_value_that_is_not_finite_is_found_in_its_own_step_not_later(both, pro
     run = both(write(table))
     assert run.attributes["failed_at"] == pytest.approx(37.21)
     assert "output y is not finite: nan" in run.attributes["error"]
+
+
+@pytest.mark.parametrize("change", ["del _loop.LAYOUT", "_loop.LAYOUT['StepperProgram'] += ' tolerance'"])
+def test_a_compiled_loop_of_other_sources_is_reported_and_not_used(python, write, spiral, change):
+    write(merged(spiral, {"metrics": {}}))
+    answer = python(
+        f"""
+import orchestrator as orch
+from orchestrator.simulation import _loop
+
+fresh = orch.run("mine.toml", output="fresh.h5")
+{change}
+stale = orch.run("mine.toml", output="stale.h5")
+print(fresh.attributes["timing"]["loop"], stale.attributes["timing"]["loop"])
+print(fresh["vehicle.eta"].tobytes() == stale["vehicle.eta"].tobytes(), len(fresh.attributes["warnings"]))
+print(*stale.attributes["warnings"])
+import sys
+from orchestrator.cli.main import main
+sys.argv = ["orch", "--version"]
+main()
+"""
+    )
+    assert answer.code == 0, answer.err
+    loops, rows, warning, version = answer.out.splitlines()
+    assert loops == "compiled python"
+    assert rows == "True 0"
+    assert "was built from other sources than this orch" in warning
+    assert "pip install -e ." in warning
+    assert version.endswith("loop in Python")
+    assert answer.err.strip() == warning
 
 
 def test_an_alternating_signal_is_found_in_a_long_run_by_both_loops(both, shipped, spiral, write):

@@ -121,9 +121,11 @@ def orch() -> None:
 
 def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked:
-        from ..simulation.loop import extension
+        from ..simulation.loop import compiled, out_of_date
 
-        click.echo(f"orch {__version__}, {'compiled loop' if extension() else 'loop in Python'}")
+        click.echo(f"orch {__version__}, {'compiled loop' if compiled() else 'loop in Python'}")
+        if message := out_of_date():
+            click.echo(message, err=True)
         ctx.exit()
 
 

@@ -1,8 +1,8 @@
 /* The inner loop of the co-simulation master: gather, set, step, get, publish, record, by the addresses of the FMI
-   functions.  loop.py has the same in Python; both give the same rows, bit for bit.  What acts when is told in
-   master.py.
+   functions.  loop.py has the same in Python; both give the same rows, bit for bit.  master.py describes what acts when,
+   program.py what a Loop is given.
 
-   All arrays belong to numpy and stay where they are: a Loop keeps a reference to every object it was given. */
+   All arrays belong to numpy and stay where they are: a Loop keeps a reference to the program, which holds them. */
 
 #define Py_LIMITED_API 0x030B0000
 #define PY_SSIZE_T_CLEAN
@@ -31,16 +31,27 @@ static double now(void) {
 }
 #endif
 
-/* As variables.NUMBERS has them. */
-enum { REAL, INTEGER, BOOLEAN, FLOAT32, INT8, UINT8, INT16, UINT16, UINT32, INT64, UINT64, TRUTH, KINDS };
+/* Kinds of values, as variables.NUMBERS has them.  LAYOUT, below, lets program.py compare. */
+#define EACH_KIND(DO)                                                                                                  \
+    DO(REAL, real, double) DO(INTEGER, integer, int32_t) DO(BOOLEAN, boolean, int32_t) DO(FLOAT32, float32, float)     \
+    DO(INT8, int8, int8_t) DO(UINT8, uint8, uint8_t) DO(INT16, int16, int16_t) DO(UINT16, uint16, uint16_t)            \
+    DO(UINT32, uint32, uint32_t) DO(INT64, int64, int64_t) DO(UINT64, uint64, uint64_t) DO(TRUTH, truth, uint8_t)
+#define CONSTANT(constant, name, type) constant,
+#define SIZE(constant, name, type) sizeof(type),
+#define NAME(constant, name, type) #name " "
+
+enum { EACH_KIND(CONSTANT) KINDS };
+static const uint8_t SIZES[KINDS] = {EACH_KIND(SIZE)};
+
+#define MOMENT_NAMES "AT_ONCE TICK_END PERIOD_END"
 enum { AT_ONCE, TICK_END, PERIOD_END, MOMENTS };
 enum { NOT_FINITE = -1 };
 enum { FMI_WARNING = 1, FMI_DISCARD, FMI_ERROR };
 
-typedef int Exchange(void *component, const uint32_t *references, size_t n, void *values);
-typedef int Exchange3(void *component, const uint32_t *references, size_t n, void *values, size_t n_values);
-typedef int DoStep(void *component, double t, double h, int no_going_back);
-typedef int DoStep3(void *component, double t, double h, bool no_going_back, bool *event, bool *terminate, bool *early,
+typedef int Exchange(void *handle, const uint32_t *references, size_t n, void *values);
+typedef int Exchange3(void *handle, const uint32_t *references, size_t n, void *values, size_t n_values);
+typedef int DoStep(void *handle, double t, double h, int no_going_back);
+typedef int DoStep3(void *handle, double t, double h, bool no_going_back, bool *event, bool *terminate, bool *early,
                     double *reached);
 typedef void Function(void);
 
@@ -49,7 +60,8 @@ typedef struct {
     size_t source, target, n;
 } Run;
 
-/* A value on its way into a buffer: factor * value + offset.  As loop.py's array has it. */
+/* A value on its way into a buffer: factor * value + offset. */
+#define CONVERSION_FIELDS "kind source target factor offset"
 typedef struct {
     int64_t kind, source, target;
     double factor, offset;
@@ -78,7 +90,7 @@ typedef struct {
 
 typedef struct {
     int version; /* of FMI */
-    void *component;
+    void *handle;
     Function *step;
     bool *answers; /* FMI 3.0: event, terminate, early */
     double *reached;
@@ -88,7 +100,7 @@ typedef struct {
     size_t n_sets, n_gets;
     Publication *published[MOMENTS];
     size_t n_published[MOMENTS];
-} Member;
+} Stepper;
 
 /* Counts of what changes sign from one look to the next: see chatter.py. */
 typedef struct {
@@ -101,16 +113,16 @@ typedef struct {
 
 typedef struct {
     PyObject_HEAD
-    PyObject *owners; /* of all memory below */
-    Member *members;
-    const Member **late; /* those that publish something at the end of a tick or period */
-    size_t n_members, n_late;
+    PyObject *program; /* owns all memory below that is not freed in loop_dealloc */
+    Stepper *steppers;
+    const Stepper **late; /* those that publish something at the end of a tick or period */
+    size_t n_steppers, n_late;
     void *tables[KINDS];
-    size_t n_reals, n_float32; /* of the tables, computed by components */
+    size_t n_reals, n_float32; /* of the tables, outputs */
     const Py_ssize_t *recorded[KINDS];
     size_t n_recorded[KINDS];
     Alternations alternations;
-    double *seconds; /* (members, 3): of set, step and get in timed steps */
+    double *seconds; /* (steppers, 3): of set, step and get in timed steps */
     int64_t *samples;
     Py_ssize_t sample_every, stride;
     double overhead; /* of looking at the clock */
@@ -119,8 +131,6 @@ typedef struct {
 } Loop;
 
 /* --- The loop ------------------------------------------------------------------------------------------------------- */
-
-static const uint8_t SIZES[KINDS] = {8, 4, 4, 4, 1, 1, 2, 2, 4, 8, 8, 1};
 
 static inline size_t size_of(int kind) { return SIZES[kind]; }
 
@@ -137,14 +147,9 @@ static void scatter(void *to, const Py_ssize_t *targets, const void *from, const
 #undef SCATTER
 }
 
-#define EACH_KIND(DO)                                                                                                  \
-    DO(REAL, double) DO(INTEGER, int32_t) DO(BOOLEAN, int32_t) DO(FLOAT32, float) DO(INT8, int8_t) DO(UINT8, uint8_t)  \
-    DO(INT16, int16_t) DO(UINT16, uint16_t) DO(UINT32, uint32_t) DO(INT64, int64_t) DO(UINT64, uint64_t)               \
-    DO(TRUTH, uint8_t)
-
 static double load(const void *table, int64_t place, int64_t kind) {
     switch (kind) {
-#define LOAD(name, type) case name: return (double)((const type *)table)[place];
+#define LOAD(constant, name, type) case constant: return (double)((const type *)table)[place];
         EACH_KIND(LOAD)
 #undef LOAD
     }
@@ -153,7 +158,7 @@ static double load(const void *table, int64_t place, int64_t kind) {
 
 static void store(void *values, int64_t place, int kind, double value) {
     switch (kind) {
-#define STORE(name, type) case name: ((type *)values)[place] = (type)value; break;
+#define STORE(constant, name, type) case constant: ((type *)values)[place] = (type)value; break;
         EACH_KIND(STORE)
 #undef STORE
     }
@@ -169,7 +174,7 @@ static inline void copy(const Call *c, const Run *run, const void *table) {
     memcpy((char *)c->values + run->target * size, (const char *)table + run->source * size, run->n * size);
 }
 
-static void publish_all(const Loop *self, const Member *m, int moment) {
+static void publish_all(const Loop *self, const Stepper *m, int moment) {
     for (const Publication *p = m->published[moment], *end = p + m->n_published[moment]; p < end; p++)
         scatter(self->tables[p->kind], p->targets, p->values, p->chosen, p->n, p->kind);
 }
@@ -200,22 +205,22 @@ static int is_finite(const Call *c) {
     return c->kind != REAL || all_finite(c->values, c->n);
 }
 
-static inline int exchange(const Member *m, const Call *c) {
-    if (m->version == 2) return ((Exchange *)c->function)(m->component, c->references, c->n_references, c->values);
-    return ((Exchange3 *)c->function)(m->component, c->references, c->n_references, c->values, c->n);
+static inline int exchange(const Stepper *m, const Call *c) {
+    if (m->version == 2) return ((Exchange *)c->function)(m->handle, c->references, c->n_references, c->values);
+    return ((Exchange3 *)c->function)(m->handle, c->references, c->n_references, c->values, c->n);
 }
 
-static inline int do_step(const Member *m, double t) {
-    if (m->version == 2) return ((DoStep *)m->step)(m->component, t, m->h, 1);
+static inline int do_step(const Stepper *m, double t) {
+    if (m->version == 2) return ((DoStep *)m->step)(m->handle, t, m->h, 1);
     bool *a = m->answers;
-    int status = ((DoStep3 *)m->step)(m->component, t, m->h, true, &a[0], &a[1], &a[2], m->reached);
+    int status = ((DoStep3 *)m->step)(m->handle, t, m->h, true, &a[0], &a[1], &a[2], m->reached);
     if ((unsigned)status > FMI_WARNING) return status;
     return a[1] ? FMI_DISCARD : a[2] ? FMI_ERROR : status;
 }
 
 /* Returns 0, a status of FMI above fmi2Warning or below 0, or NOT_FINITE; marks: the times before set, step, get and
    at the end, or NULL. */
-static int step(const Loop *self, const Member *m, double t, double *marks) {
+static int step(const Loop *self, const Stepper *m, double t, double *marks) {
     int status;
     if (marks) marks[0] = now();
     for (const Call *c = m->sets, *end = c + m->n_sets; c < end; c++) {
@@ -241,12 +246,12 @@ static int step(const Loop *self, const Member *m, double t, double *marks) {
     return 0;
 }
 
-static void add_times(const Loop *self, size_t member, const double *marks) {
+static void add_times(const Loop *self, size_t stepper, const double *marks) {
     for (int phase = 0; phase < 3; phase++) {
         double seconds = marks[phase + 1] - marks[phase] - self->overhead;
-        if (seconds > 0.0) self->seconds[3 * member + phase] += seconds;
+        if (seconds > 0.0) self->seconds[3 * stepper + phase] += seconds;
     }
-    self->samples[member]++;
+    self->samples[stepper]++;
 }
 
 static void compare(const Alternations *a, const double *table) {
@@ -267,15 +272,15 @@ static void look(const Alternations *a, const double *table, Py_ssize_t phase) {
         for (size_t i = 0; i < a->n; i++) a->before[i] = a->middle ? table[i] - a->middle[i] : table[i];
 }
 
-/* The first member that has given a value that is not finite. */
+/* The first stepper that has given a value that is not finite. */
 static Py_ssize_t not_finite(const Loop *self) {
-    for (size_t i = 0; i < self->n_members; i++)
-        for (size_t j = 0; j < self->members[i].n_gets; j++)
-            if (!is_finite(&self->members[i].gets[j])) return (Py_ssize_t)i;
+    for (size_t i = 0; i < self->n_steppers; i++)
+        for (size_t j = 0; j < self->steppers[i].n_gets; j++)
+            if (!is_finite(&self->steppers[i].gets[j])) return (Py_ssize_t)i;
     return 0;
 }
 
-/* Steps from tick `first` until `last`.  Returns the ticks done; *failed: the member that failed, or -1. */
+/* Steps from tick `first` until `last`.  Returns the ticks done; *failed: the stepper that failed, or -1. */
 static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, const double *times, double patience,
                           void *rows[KINDS], Py_ssize_t *failed, int *status) {
     double deadline = now() + patience, marks[4];
@@ -287,8 +292,8 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         int timed = k == next_sample;
         if (*(volatile const int32_t *)self->interrupt || (timed && now() > deadline)) return k;
         if (timed) next_sample += self->sample_every;
-        for (size_t i = 0; i < self->n_members; i++) {
-            const Member *m = &self->members[i];
+        for (size_t i = 0; i < self->n_steppers; i++) {
+            const Stepper *m = &self->steppers[i];
             if (m->period > 1 && k % m->period) continue;
             *status = step(self, m, times[k - first], timed ? marks : NULL);
             if (*status) {
@@ -304,7 +309,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             return k;
         }
         for (size_t i = 0; i < self->n_late; i++) {
-            const Member *m = self->late[i];
+            const Stepper *m = self->late[i];
             if (m->period == 1 || k % m->period == 0) publish_all(self, m, TICK_END);
             if (m->period == 1 || (k + 1) % m->period == 0) publish_all(self, m, PERIOD_END);
         }
@@ -339,12 +344,10 @@ static void *memory_of(PyObject *array, size_t item, size_t *n) {
 }
 
 /* Sources and targets that follow one another are one run. */
-static int find_runs(Call *c, PyObject *places) {
-    PyObject *first, *second;
+static int find_runs(Call *c, PyObject *from, PyObject *to) {
     size_t n;
-    if (!PyArg_ParseTuple(places, "OO", &first, &second)) return -1;
-    const Py_ssize_t *sources = memory_of(first, sizeof(Py_ssize_t), &n);
-    const Py_ssize_t *targets = sources ? memory_of(second, sizeof(Py_ssize_t), NULL) : NULL;
+    const Py_ssize_t *sources = memory_of(from, sizeof(Py_ssize_t), &n);
+    const Py_ssize_t *targets = sources ? memory_of(to, sizeof(Py_ssize_t), NULL) : NULL;
     if (!targets) return -1;
     c->runs = calloc(n + 1, sizeof *c->runs);
     if (!c->runs) return PyErr_NoMemory(), -1;
@@ -354,29 +357,31 @@ static int find_runs(Call *c, PyObject *places) {
     return 0;
 }
 
-/* {(kind, address, references, values, (sources, targets) or None, conversions or None)} */
+#define CALL_FIELDS "kind address references values sources targets conversions"
+#define CALL_FORMAT "iOOOOOO"
 static int parse_calls(PyObject *list, Call **calls, size_t *n) {
     *n = (size_t)PyList_Size(list);
     *calls = calloc(*n + 1, sizeof **calls);
     if (!*calls) return PyErr_NoMemory(), -1;
     for (size_t i = 0; i < *n; i++) {
         Call *c = &(*calls)[i];
-        PyObject *address, *references, *values, *places, *conversions;
-        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOOOO", &c->kind, &address, &references, &values,
-                              &places, &conversions))
+        PyObject *address, *references, *values, *sources, *targets, *conversions;
+        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), CALL_FORMAT, &c->kind, &address, &references,
+                              &values, &sources, &targets, &conversions))
             return -1;
         c->function = (Function *)PyLong_AsVoidPtr(address);
         if (PyErr_Occurred()) return -1;
         if (!(c->references = memory_of(references, sizeof(uint32_t), &c->n_references))) return -1;
         if (!(c->values = memory_of(values, size_of(c->kind), &c->n))) return -1;
-        if (places != Py_None && find_runs(c, places) < 0) return -1;
+        if (sources != Py_None && find_runs(c, sources, targets) < 0) return -1;
         if (conversions == Py_None) continue;
         if (!(c->conversions = memory_of(conversions, sizeof(Conversion), &c->n_conversions))) return -1;
     }
     return 0;
 }
 
-/* {(kind, values, chosen, targets)} */
+#define PUBLICATION_FIELDS "kind values chosen targets"
+#define PUBLICATION_FORMAT "iOOO"
 static int parse_publications(PyObject *list, Publication **publications, size_t *n) {
     *n = (size_t)PyList_Size(list);
     *publications = calloc(*n + 1, sizeof **publications);
@@ -384,7 +389,8 @@ static int parse_publications(PyObject *list, Publication **publications, size_t
     for (size_t i = 0; i < *n; i++) {
         Publication *p = &(*publications)[i];
         PyObject *values, *chosen, *targets;
-        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), "iOOO", &p->kind, &values, &chosen, &targets))
+        if (!PyArg_ParseTuple(PyList_GetItem(list, (Py_ssize_t)i), PUBLICATION_FORMAT, &p->kind, &values, &chosen,
+                              &targets))
             return -1;
         if (!(p->values = memory_of(values, size_of(p->kind), NULL))) return -1;
         if (!(p->chosen = memory_of(chosen, sizeof(Py_ssize_t), &p->n))) return -1;
@@ -393,14 +399,16 @@ static int parse_publications(PyObject *list, Publication **publications, size_t
     return 0;
 }
 
-static int parse_member(PyObject *tuple, Member *m) {
-    PyObject *component, *function, *answers, *sets, *gets, *published[MOMENTS];
-    if (!PyArg_ParseTuple(tuple, "iOOOdnO!O!(O!O!O!)", &m->version, &component, &function, &answers, &m->h, &m->period,
+#define STEPPER_FIELDS "version handle address answers h period sets gets published"
+#define STEPPER_FORMAT "iOOOdnO!O!(O!O!O!)"
+static int parse_stepper(PyObject *tuple, Stepper *m) {
+    PyObject *handle, *address, *answers, *sets, *gets, *published[MOMENTS];
+    if (!PyArg_ParseTuple(tuple, STEPPER_FORMAT, &m->version, &handle, &address, &answers, &m->h, &m->period,
                           &PyList_Type, &sets, &PyList_Type, &gets, &PyList_Type, &published[0], &PyList_Type,
                           &published[1], &PyList_Type, &published[2]))
         return -1;
-    m->component = PyLong_AsVoidPtr(component);
-    m->step = (Function *)PyLong_AsVoidPtr(function);
+    m->handle = PyLong_AsVoidPtr(handle);
+    m->step = (Function *)PyLong_AsVoidPtr(address);
     if (PyErr_Occurred()) return -1;
     if (answers != Py_None) {
         PyObject *flags, *reached;
@@ -425,9 +433,11 @@ static int memories_of(PyObject *tuple, int positions, void *memory[KINDS], size
     return 0;
 }
 
+#define ALTERNATIONS_FIELDS "every before middle threshold counts sum sum_abs largest"
+#define ALTERNATIONS_FORMAT "nOOOOOOO"
 static int parse_alternations(PyObject *tuple, Alternations *a) {
     PyObject *before, *middle, *threshold, *counts, *sum, *sum_abs, *largest;
-    if (!PyArg_ParseTuple(tuple, "nOOOOOOO", &a->every, &before, &middle, &threshold, &counts, &sum, &sum_abs,
+    if (!PyArg_ParseTuple(tuple, ALTERNATIONS_FORMAT, &a->every, &before, &middle, &threshold, &counts, &sum, &sum_abs,
                           &largest))
         return -1;
     if (!(a->before = memory_of(before, sizeof(double), &a->n))) return -1;
@@ -442,15 +452,15 @@ static int parse_alternations(PyObject *tuple, Alternations *a) {
 
 static void loop_dealloc(Loop *self) {
     PyTypeObject *type = Py_TYPE((PyObject *)self);
-    for (size_t i = 0; self->members && i < self->n_members; i++) {
-        for (size_t j = 0; self->members[i].sets && j < self->members[i].n_sets; j++) free(self->members[i].sets[j].runs);
-        free(self->members[i].sets);
-        free(self->members[i].gets);
-        for (int moment = 0; moment < MOMENTS; moment++) free(self->members[i].published[moment]);
+    for (size_t i = 0; self->steppers && i < self->n_steppers; i++) {
+        for (size_t j = 0; self->steppers[i].sets && j < self->steppers[i].n_sets; j++) free(self->steppers[i].sets[j].runs);
+        free(self->steppers[i].sets);
+        free(self->steppers[i].gets);
+        for (int moment = 0; moment < MOMENTS; moment++) free(self->steppers[i].published[moment]);
     }
-    free(self->members);
+    free(self->steppers);
     free(self->late);
-    Py_XDECREF(self->owners);
+    Py_XDECREF(self->program);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
 }
@@ -468,17 +478,21 @@ static int is_staged(const Loop *self, const Call *c) {
     return values < table || values >= table + (c->kind == REAL ? self->n_reals : self->n_float32) * size_of(c->kind);
 }
 
+#define PROGRAM_FIELDS                                                                                                 \
+    "steppers tables computed recorded alternations seconds samples sample_every interrupt stride holds_lock "         \
+    "records_inputs"
+#define PROGRAM_FORMAT "O!O!(nn)O!O!OOnOnpp"
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
-    PyObject *members, *tables, *recorded, *alternations, *seconds, *samples, *interrupt;
+    PyObject *program, *steppers, *tables, *recorded, *alternations, *seconds, *samples, *interrupt;
     void *places[KINDS];
-    if (self->owners) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
+    if (self->program) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
-    if (!PyArg_ParseTuple(arguments, "O!O!(nn)O!O!(OOn)Onpp", &PyList_Type, &members, &PyTuple_Type, &tables,
-                          &self->n_reals, &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations,
-                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock,
-                          &self->records_inputs))
+    if (!PyArg_ParseTuple(arguments, "O!", &PyTuple_Type, &program)) return -1;
+    if (!PyArg_ParseTuple(program, PROGRAM_FORMAT, &PyList_Type, &steppers, &PyTuple_Type, &tables, &self->n_reals,
+                          &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations, &seconds, &samples,
+                          &self->sample_every, &interrupt, &self->stride, &self->holds_lock, &self->records_inputs))
         return -1;
-    self->owners = Py_NewRef(arguments);
+    self->program = Py_NewRef(program);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
         return -1;
     for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
@@ -486,13 +500,13 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
-    self->members = calloc((size_t)PyList_Size(members) + 1, sizeof *self->members);
-    self->late = calloc((size_t)PyList_Size(members) + 1, sizeof *self->late);
-    if (!self->members || !self->late) return PyErr_NoMemory(), -1;
-    for (Py_ssize_t i = 0; i < PyList_Size(members); i++) {
-        self->n_members++;
-        Member *m = &self->members[i];
-        if (parse_member(PyList_GetItem(members, i), m) < 0) return -1;
+    self->steppers = calloc((size_t)PyList_Size(steppers) + 1, sizeof *self->steppers);
+    self->late = calloc((size_t)PyList_Size(steppers) + 1, sizeof *self->late);
+    if (!self->steppers || !self->late) return PyErr_NoMemory(), -1;
+    for (Py_ssize_t i = 0; i < PyList_Size(steppers); i++) {
+        self->n_steppers++;
+        Stepper *m = &self->steppers[i];
+        if (parse_stepper(PyList_GetItem(steppers, i), m) < 0) return -1;
         for (size_t j = 0; j < m->n_sets; j++) use_in_place(self, &m->sets[j]);
         for (size_t j = 0; j < m->n_gets; j++) m->gets[j].staged = is_staged(self, &m->gets[j]);
         if (m->n_published[TICK_END] || m->n_published[PERIOD_END]) self->late[self->n_late++] = m;
@@ -527,14 +541,13 @@ static PyObject *loop_advance(Loop *self, PyObject *arguments) {
 
 static PyMethodDef loop_methods[] = {
     {"advance", (PyCFunction)loop_advance, METH_VARARGS,
-     "advance(first, last, times, patience, rows) -> (ticks done, failed member or -1, status)\n\n"
+     "advance(first, last, times, patience, rows) -> (ticks done, failed stepper or -1, status)\n\n"
      "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; rows: an array of each kind."},
     {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot loop_slots[] = {
-    {Py_tp_doc, "Loop(members, tables, computed, recorded, alternations, (seconds, samples, every), interrupt, stride, "
-                "holds_lock, records_inputs); see loop.py"},
+    {Py_tp_doc, "Loop(program); see program.py"},
     {Py_tp_init, loop_init},
     {Py_tp_new, PyType_GenericNew},
     {Py_tp_dealloc, loop_dealloc},
@@ -544,16 +557,25 @@ static PyType_Slot loop_slots[] = {
 
 static PyType_Spec loop_spec = {"orchestrator.simulation._loop.Loop", sizeof(Loop), 0, Py_TPFLAGS_DEFAULT, loop_slots};
 
+/* What program.layout() must agree with. */
+static PyObject *layout_of(void) {
+    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
+                         STEPPER_FIELDS, "CallProgram", CALL_FIELDS, "PublicationProgram", PUBLICATION_FIELDS,
+                         "AlternationsProgram", ALTERNATIONS_FIELDS, "Conversion", CONVERSION_FIELDS, "kinds",
+                         EACH_KIND(NAME), "moments", MOMENT_NAMES, "NOT_FINITE",
+                         PyUnicode_FromFormat("%d", NOT_FINITE));
+}
+
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "_loop", .m_doc = "The inner loop, compiled.",
                                     .m_size = -1};
 
 PyMODINIT_FUNC PyInit__loop(void) {
-    PyObject *self = PyModule_Create(&module), *type = self ? PyType_FromSpec(&loop_spec) : NULL;
-    if (!type || PyModule_AddObjectRef(self, "Loop", type) < 0) {
-        Py_XDECREF(type);
-        Py_XDECREF(self);
-        return NULL;
-    }
-    Py_DECREF(type);
+    PyObject *self = PyModule_Create(&module);
+    PyObject *type = self ? PyType_FromSpec(&loop_spec) : NULL;
+    PyObject *layout = type ? layout_of() : NULL;
+    int failed = !layout || PyModule_AddObjectRef(self, "Loop", type) || PyModule_AddObjectRef(self, "LAYOUT", layout);
+    Py_XDECREF(layout);
+    Py_XDECREF(type);
+    if (failed) Py_CLEAR(self);
     return self;
 }

@@ -9,10 +9,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Reals, Table
 from ..names import split_axis
 from ..warning import Kind, Warned
 from .system import System
@@ -23,6 +24,19 @@ FEWEST_PAIRS = 1000  # of consecutive values that a long run is judged by
 SPARSEST = 100  # ticks from pair to pair of a long run
 NOISE = 1e-9  # SI; smaller amplitudes are rounding
 SMALL = 1e-2  # of the largest value of its vector; smaller amplitudes do no harm
+
+
+class AlternationsProgram(NamedTuple):
+    """What the compiled loop needs to count, too; see `program`."""
+
+    every: int
+    before: Reals
+    middle: Reals | None
+    threshold: Reals
+    counts: Table  # int64
+    sum: Reals
+    sum_abs: Reals
+    largest: Reals
 
 
 class Alternations:
@@ -66,20 +80,19 @@ class Alternations:
         if phase == 0:
             self._before[:] = self._now()
 
-    def arrays(self) -> tuple[Any, ...]:
-        """What the compiled loop needs to do the same."""
-        return (
-            self.every,
-            self._before,
-            self._middle,
-            self._threshold,
-            self._counts,
-            self._sum,
-            self._sum_abs,
-            self._largest,
+    def program(self) -> AlternationsProgram:
+        return AlternationsProgram(
+            every=self.every,
+            before=self._before,
+            middle=self._middle,
+            threshold=self._threshold,
+            counts=self._counts,
+            sum=self._sum,
+            sum_abs=self._sum_abs,
+            largest=self._largest,
         )
 
-    def _now(self) -> Any:
+    def _now(self) -> Reals:
         return self._table if self._middle is None else self._table - self._middle
 
     def warnings(self, ticks: int) -> list[str]:

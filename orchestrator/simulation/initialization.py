@@ -16,7 +16,7 @@ import numpy as np
 from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
-from .stepper import Input, Stepper, failing
+from .stepper import Setter, Stepper, failing
 from .system import System
 
 SWEEPS = 100
@@ -63,7 +63,7 @@ def set_up(system: System, stepper: Stepper, start_time: float = 0.0) -> None:
 def _settle(system: System) -> list[str]:
     """Exchange values until they agree; returns warnings.  Raises like `initialize`."""
     loops = cycles(system.plan, initial=True)
-    first = [input.buffer.copy() for stepper in system.steppers for input in stepper.inputs]
+    first = [setter.buffer.copy() for stepper in system.steppers for setter in stepper.setters]
     steppers = {stepper.component.name: stepper for stepper in system.steppers}
     for name in _schedule(system):
         exchange(steppers[name])
@@ -76,7 +76,7 @@ def _settle(system: System) -> list[str]:
             return []
     if all(abs(now - was) <= TOLERANCE * max(1.0, abs(now)) for _, was, now in changes if not isinstance(now, bytes)):
         return []
-    buffers = [input.buffer for stepper in system.steppers for input in stepper.inputs]
+    buffers = [setter.buffer for stepper in system.steppers for setter in stepper.setters]
     for buffer, values in zip(buffers, first, strict=True):
         buffer[:] = values
     return _Newton(system, loops, [name for name, _, _ in changes]).solve()
@@ -136,19 +136,19 @@ class _Newton:
     def __init__(self, system: System, loops: Sequence[Cycle], changed: Sequence[str]):
         self._system, self._loops, self._changed = system, loops, changed
         ports = {port for loop in loops for port in loop.ports}
-        self._places: list[tuple[Stepper, Input, int]] = [
-            (stepper, input, place)
+        self._places: list[tuple[Stepper, Setter, int]] = [
+            (stepper, setter, place)
             for stepper in system.steppers
-            for input in stepper.inputs
-            if input.kind in FLOATS
-            for place, variable in enumerate(input.variables)
+            for setter in stepper.setters
+            if setter.kind in FLOATS
+            for place, variable in enumerate(setter.variables)
             if (stepper.component.name, variable.name) in ports
         ]
 
     def solve(self) -> list[str]:
         if not self._places:
             raise self._failure("nothing in it is a real number to solve for")
-        x = np.array([input.buffer[place] for _, input, place in self._places], dtype=float)
+        x = np.array([setter.buffer[place] for _, setter, place in self._places], dtype=float)
         residual = self._residual(x)
         for iteration in range(ITERATIONS):
             if (np.abs(residual) <= TOLERANCE * np.maximum(1.0, np.abs(x))).all():
@@ -188,7 +188,7 @@ class _Newton:
         for stepper in {id(stepper): stepper for stepper, _, _ in self._places}.values():
             for gather in stepper.gathers:
                 gather()
-        return np.array([input.buffer[place] for _, input, place in self._places], dtype=float) - x
+        return np.array([setter.buffer[place] for _, setter, place in self._places], dtype=float) - x
 
     def _evaluate(self, x: Any) -> None:
         """All components with those inputs held at x, so often that what depends on them has followed."""
@@ -196,8 +196,8 @@ class _Newton:
             before = {kind: table.copy() for kind, table in self._system.tables.items()}
             for stepper in self._system.steppers:
                 held = [
-                    (input.buffer, place, value)
-                    for (owner, input, place), value in zip(self._places, x, strict=True)
+                    (setter.buffer, place, value)
+                    for (owner, setter, place), value in zip(self._places, x, strict=True)
                     if owner is stepper
                 ]
                 exchange(stepper, held)

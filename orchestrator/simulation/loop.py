@@ -11,19 +11,22 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..fmu.variables import FLOATS, NUMBERS, OBJECTS, Variable
-from ..instances.instance import Verb, references_of
+from ..arrays import Table, Tables
+from ..fmu.variables import FLOATS, NUMBERS, OBJECTS
+from ..instances.instance import Call
 from .chatter import Alternations
 from .observer import Block, Interrupt
-from .stepper import AT_ONCE, PERIOD_END, TICK_END, Action, Conversion, Stepper
+from .program import NOT_FINITE, layout, program_of
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, Stepper
 from .system import System
 from .timing import EVERY, Timing
 
-NOT_FINITE = -1  # beside the statuses of FMI
+if TYPE_CHECKING:
+    from . import _loop
 
 
 class Loop(Protocol):
@@ -39,7 +42,7 @@ class Loop(Protocol):
         """
 
     def complete(self, first: int) -> None:
-        """Finish a tick in which the member number `first` has stepped, and nothing was done with that.
+        """Finish a tick in which component number `first` has stepped, and nothing has been done with its results.
 
         Raises ComponentFailed.
         """
@@ -50,21 +53,36 @@ class Loop(Protocol):
 
 def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
     """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
-    compiled = extension()
+    loop = compiled()
     objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
-    kind = InterpretedLoop if compiled is None or objects else CompiledLoop
-    return kind(system, alternations, timing, interrupt)
+    if loop is None or objects:
+        return InterpretedLoop(system, alternations, timing, interrupt)
+    return CompiledLoop(loop, system, alternations, timing, interrupt)
 
 
-def extension() -> Any:
-    """The compiled module, or None."""
-    if os.environ.get("ORCH_LOOP") == "python":
+def compiled() -> type[_loop.Loop] | None:
+    """What CompiledLoop drives; None where it is not built, out of date, or not wanted."""
+    if os.environ.get("ORCH_LOOP") == "python" or out_of_date():
         return None
     try:
-        from . import _loop  # type: ignore[attr-defined]  # of C, where it is built
+        from . import _loop
     except ImportError:
         return None
-    return _loop
+    return _loop.Loop
+
+
+def out_of_date() -> str:
+    """A message where a compiled loop is there that other sources were compiled to, or ""."""
+    try:
+        from . import _loop
+    except ImportError:
+        return ""
+    if getattr(_loop, "LAYOUT", None) == layout():
+        return ""
+    return (
+        f"the compiled loop ({_loop.__file__}) was built from other sources than this orch: runs take the loop in "
+        "Python, which gives the same rows more slowly; install orch again (pip install -e ., or make install)"
+    )
 
 
 class _Completing:
@@ -83,7 +101,7 @@ class _Completing:
                 for gather in stepper.gathers:
                     gather()
                 sets, _ = _calls(stepper)
-                calls: list[Action] = [*sets, partial(stepper.step, ctypes.c_double(grid.time(k)))]
+                calls: list[Call] = [*sets, partial(stepper.step, ctypes.c_double(grid.time(k)))]
                 for call in calls:
                     stepper.check(call())
             for get in stepper.gets:  # of a batched one, too: its step has ended before it came to them
@@ -109,12 +127,12 @@ class InterpretedLoop(_Completing):
     def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
         self.ticks = system.plan.first
         self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
-        self._members = [
+        self._steppers = [
             (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
             for number, stepper in enumerate(system.steppers)
         ]
         self._ending = [
-            (m, m.component.period) for m in system.steppers if m.publish[TICK_END] or m.publish[PERIOD_END]
+            (s, s.component.period) for s in system.steppers if s.publish[TICK_END] or s.publish[PERIOD_END]
         ]
         self._checked = [system.tables[kind][:n] for kind in FLOATS if (n := system.computed[kind])]
         self._rows = _Rows(system)
@@ -129,7 +147,7 @@ class InterpretedLoop(_Completing):
             if flag[0] or (timed and clock() > deadline):
                 return
             t = ctypes.c_double(grid.time(k))
-            for number, stepper, period, sets, gets, sums_of_squares in self._members:
+            for number, stepper, period, sets, gets, sums_of_squares in self._steppers:
                 if period > 1 and k % period:
                     continue
                 marks = [clock()] if timed else None
@@ -176,25 +194,19 @@ class CompiledLoop(_Completing):
 
     name = "compiled"
 
-    def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
+    def __init__(
+        self,
+        loop: type[_loop.Loop],
+        system: System,
+        alternations: Alternations,
+        timing: Timing,
+        interrupt: Interrupt,
+    ):
         self.ticks = system.plan.first
         self._system = system
         self._rows = _Rows(system)
         self.take = self._rows.take
-        # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
-        holds_lock = any(m.instance.batched or m.component.fmu.packaging == "python" for m in system.steppers)
-        self._loop = extension().Loop(
-            [_program(stepper) for stepper in system.steppers],
-            tuple(system.tables[kind] for kind in NUMBERS),
-            tuple(system.computed[kind] for kind in FLOATS),
-            tuple(system.recorded[kind] for kind in NUMBERS),
-            alternations.arrays(),
-            (timing.seconds, timing.samples, EVERY),
-            interrupt.flag,
-            system.plan.stride,
-            holds_lock,
-            system.plan.experiment.record.inputs,
-        )
+        self._loop = loop(program_of(system, alternations, timing, interrupt))
 
     def advance(self, last: int, patience: float) -> None:
         first, stride = self.ticks, self._system.plan.stride
@@ -210,31 +222,6 @@ class CompiledLoop(_Completing):
             stepper.check(status)
 
 
-def _program(stepper: Stepper) -> tuple[Any, ...]:
-    """A component as `_loop.c` takes it."""
-    instance = stepper.instance
-
-    def call(verb: Verb, kind: str, variables: list[Variable], buffer: Any) -> tuple[Any, ...]:
-        return NUMBERS.index(kind), instance.address(verb, kind), references_of(variables), buffer
-
-    sets = [
-        (*call("Set", i.kind, i.variables, i.buffer), (i.sources, i.targets), _conversions(i.conversions))
-        for i in stepper.inputs
-    ]
-    gets = [(*call("Get", o.kind, o.variables, o.buffer), None, None) for o in stepper.outputs]
-    published = tuple(
-        [(NUMBERS.index(p.kind), p.buffer, p.chosen, p.targets) for p in stepper.publications if p.moment == moment]
-        for moment in (AT_ONCE, TICK_END, PERIOD_END)
-    )
-    return (*instance.step_function(), stepper.h, stepper.component.period, sets, gets, published)
-
-
-def _conversions(conversions: Sequence[Conversion]) -> Any:
-    """As `_loop.c` has them in a struct; None where there are none."""
-    rows = [(NUMBERS.index(c.kind), c.source, c.target, c.factor, c.offset) for c in conversions]
-    return np.array(rows, dtype="i8,i8,i8,f8,f8") if rows else None
-
-
 class _Rows:
     """Gathers rows until somebody takes them; begins with the initial values."""
 
@@ -247,7 +234,7 @@ class _Rows:
 
     def _clear(self) -> None:
         self._ticks: list[int] = []
-        self._values: dict[str, list[Any]] = {kind: [] for kind in self._kinds}
+        self._values: dict[str, list[Table]] = {kind: [] for kind in self._kinds}
 
     def add(self, tick: int) -> None:
         """A row of the present values."""
@@ -255,12 +242,12 @@ class _Rows:
         for kind, rows in self._values.items():
             rows.append(self._system.tables[kind][self._system.recorded[kind]])
 
-    def empty(self, n: int) -> dict[str, Any]:
+    def empty(self, n: int) -> Tables:
         """Room for n rows of numbers."""
         recorded, tables = self._system.recorded, self._system.tables
         return {kind: np.empty((n, len(recorded[kind])), tables[kind].dtype) for kind in NUMBERS}
 
-    def extend(self, ticks: Sequence[int], rows: Mapping[str, Any]) -> None:
+    def extend(self, ticks: Sequence[int], rows: Mapping[str, Table]) -> None:
         """The first of `rows`, one for each of `ticks`."""
         if ticks:
             self._flush()
@@ -279,7 +266,7 @@ class _Rows:
             self._clear()
 
 
-def _calls(stepper: Stepper) -> tuple[list[Action], list[Action]]:
+def _calls(stepper: Stepper) -> tuple[list[Call], list[Call]]:
     """The setters and getters that the loop calls itself."""
     return ([], []) if stepper.instance.batched else (stepper.sets, stepper.gets)
 
@@ -287,5 +274,5 @@ def _calls(stepper: Stepper) -> tuple[list[Action], list[Action]]:
 def _sums_of_squares(stepper: Stepper, system: System) -> list[Callable[[], Any]]:
     """Of floats that do not lie in the table yet when the component has stepped: not finite where one is not."""
     tables = [system.tables[kind] for kind in FLOATS]
-    buffers = [buffer for _, buffer in stepper.floats]
+    buffers = [getter.buffer for getter in stepper.getters if getter.kind in FLOATS]
     return [partial(b.dot, b) for b in buffers if not any(np.shares_memory(b, table) for table in tables)]

@@ -21,7 +21,7 @@ from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
 from .chatter import Alternations
 from .initialization import AlgebraicLoop, initialize
-from .loop import Loop, choose
+from .loop import Loop, choose, out_of_date
 from .observer import Interrupt, Observer, Outcome
 from .stepper import ComponentFailed
 from .system import System
@@ -92,6 +92,8 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
     alternations = Alternations(system)
     timing = Timing([component.period for component in system.plan.components])
     loop = choose(system, alternations, timing, interrupt)
+    if message := out_of_date():
+        outcome.warnings.append(message)
     _hand_over(loop, observers)
     first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()

@@ -6,19 +6,30 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import partial
 from typing import Any
 
+from ..arrays import Places, Table
 from ..fmu.variables import FLOATS, Variable
-from ..instances.instance import CallFailed, Instance, references_of
+from ..instances.instance import ERROR, Call, CallFailed, Instance, references_of
 from ..plan.plan import Component
-
-AT_ONCE, TICK_END, PERIOD_END = range(3)  # when what a component has computed becomes visible: see `master`
 
 Action = Callable[[], Any]
 
 
-@dataclass(frozen=True)
+class Moment(IntEnum):
+    """When what a component has computed becomes visible to the others; `master` says why."""
+
+    AT_ONCE = 0
+    TICK_END = 1
+    PERIOD_END = 2
+
+
+AT_ONCE, TICK_END, PERIOD_END = Moment
+
+
+@dataclass(frozen=True, kw_only=True)
 class Conversion:
     """input = factor * output + offset, from a place in the table of its kind to a place in a buffer."""
 
@@ -29,40 +40,40 @@ class Conversion:
     offset: float
 
 
-@dataclass(frozen=True)
-class Input:
-    """Values of one kind that one FMI call writes.
+@dataclass(frozen=True, kw_only=True)
+class Setter:
+    """Inputs of one kind, which one FMI call writes.
 
-    `buffer`: where they gather: at its `targets` what lies at the `sources` of the table of their kind, and what is
-    converted.
+    `buffer`: (n,) where they gather: at its `targets` what lies at the `sources` of the table of their kind, and what
+    is converted.
     """
 
     kind: str
     variables: list[Variable]
-    buffer: Any
-    sources: Any
-    targets: Any
+    buffer: Table
+    sources: Places
+    targets: Places
     conversions: Sequence[Conversion] = ()
 
 
-@dataclass(frozen=True)
-class Output:
-    """Values of one kind that one FMI call reads into `buffer`."""
+@dataclass(frozen=True, kw_only=True)
+class Getter:
+    """Outputs of one kind, which one FMI call reads into `buffer`, (n,)."""
 
     kind: str
     variables: list[Variable]
-    buffer: Any
+    buffer: Table
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Publication:
     """Values that move from the `chosen` places of a buffer to the `targets` in the table, at a `moment`."""
 
     kind: str
-    moment: int
-    buffer: Any
-    chosen: Any
-    targets: Any
+    moment: Moment
+    buffer: Table
+    chosen: Places
+    targets: Places
 
 
 @dataclass
@@ -71,56 +82,56 @@ class Stepper:
 
     Each step: `gathers` (table to buffers), `sets`, `step`, `gets`, `publish[AT_ONCE]`.  `publish[TICK_END]` follows
     when all components of the tick have stepped, `publish[PERIOD_END]` when its own step has ended.  An instance that
-    is `batched` does the calls of `sets` and `gets` within its step.
+    is `batched` does the calls of `sets` and `gets` within its step.  `setters`, `getters` and `publications` say the
+    same as data.
     """
 
     component: Component
     instance: Instance
     h: float  # s, of its steps
-    inputs: list[Input] = field(default_factory=list)
-    outputs: list[Output] = field(default_factory=list)
-    publications: list[Publication] = field(default_factory=list)
-    gathers: list[Action] = field(default_factory=list)
-    sets: list[Action] = field(default_factory=list)
-    gets: list[Action] = field(default_factory=list)
-    publish: tuple[list[Action], ...] = field(default_factory=lambda: ([], [], []))
-    floats: list[tuple[list[Variable], Any]] = field(default_factory=list)  # outputs, and where `gets` write them
-    reals: list[Variable] = field(default_factory=list)  # its real outputs, and their places in the table
-    places: Sequence[int] = ()
+    setters: list[Setter] = field(default_factory=list, init=False)
+    getters: list[Getter] = field(default_factory=list, init=False)
+    publications: list[Publication] = field(default_factory=list, init=False)
+    gathers: list[Action] = field(default_factory=list, init=False)
+    sets: list[Call] = field(default_factory=list, init=False)
+    gets: list[Call] = field(default_factory=list, init=False)
+    publish: tuple[list[Action], ...] = field(default_factory=lambda: tuple([] for _ in Moment), init=False)
+    reals: list[Variable] = field(default_factory=list, init=False)  # its real outputs, and their places in the table
+    places: Sequence[int] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         self.step = self.instance.step_call(self.h)
 
-    def reads(self, input: Input, tables: Mapping[str, Any]) -> None:
-        """Before each step the values gather in the input's buffer, and go into the FMU.  tables: the outputs."""
-        self.inputs.append(input)
-        buffer, sources = input.buffer, input.sources
-        if len(input.sources) == len(buffer):
+    def add_setter(self, setter: Setter, tables: Mapping[str, Table]) -> None:
+        """Before each step the values gather in the setter's buffer, and go into the FMU.  tables: the outputs."""
+        self.setters.append(setter)
+        buffer, sources = setter.buffer, setter.sources
+        if len(sources) == len(buffer):
             # take() copies first where source and target overlap, which they do not.
-            self.gathers.append(partial(tables[input.kind].take, sources, None, buffer, "clip"))
-        elif len(input.sources):
-            self.gathers.append(partial(_copy, tables[input.kind], sources, buffer, input.targets))
-        if input.conversions:
-            self.gathers.append(partial(_convert, tables, input.conversions, buffer))
-        self.sets.append(self.instance.exchange("Set", input.kind, references_of(input.variables), buffer))
+            self.gathers.append(partial(tables[setter.kind].take, sources, None, buffer, "clip"))
+        elif len(sources):
+            self.gathers.append(partial(_copy, tables[setter.kind], sources, buffer, setter.targets))
+        if setter.conversions:
+            self.gathers.append(partial(_convert, tables, setter.conversions, buffer))
+        self.sets.append(self.instance.exchange("Set", setter.kind, references_of(setter.variables), buffer))
 
-    def gives(self, kind: str, variables: list[Variable], buffer: Any) -> None:
-        """After each step the variables go into the buffer."""
-        if kind in FLOATS:
-            self.floats.append((variables, buffer))
-        self.outputs.append(Output(kind, variables, buffer))
-        self.gets.append(self.instance.exchange("Get", kind, references_of(variables), buffer))
+    def add_getter(self, getter: Getter) -> None:
+        """After each step the variables go into the getter's buffer."""
+        self.getters.append(getter)
+        self.gets.append(self.instance.exchange("Get", getter.kind, references_of(getter.variables), getter.buffer))
 
-    def publishes(self, publication: Publication, table: Any) -> None:
+    def add_publication(self, publication: Publication, table: Table) -> None:
         self.publications.append(publication)
         self.publish[publication.moment].append(
             partial(_copy, publication.buffer, publication.chosen, table, publication.targets)
         )
 
     def not_finite(self) -> str:
-        """The first output that is not finite, as a sentence, or ""."""
-        for variables, values in self.floats:
-            for variable, value in zip(variables, values, strict=True):
+        """A message that names the first output that is not finite, or ""."""
+        for getter in self.getters:
+            if getter.kind not in FLOATS:
+                continue
+            for variable, value in zip(getter.variables, getter.buffer, strict=True):
                 if not math.isfinite(value):
                     return f"{variable.causality} {variable.name} is not finite: {value}"
         return ""
@@ -137,27 +148,27 @@ class Stepper:
 
     def last_inputs(self) -> dict[str, Any]:
         """{input: value} of what it was given last."""
-        found: dict[str, Any] = {}
-        for input in self.inputs:
-            values = zip(input.variables, input.buffer, strict=True)
-            found |= {v.name: value.item() if hasattr(value, "item") else str(value) for v, value in values}
-        return found
+        return {
+            variable.name: value.item() if hasattr(value, "item") else str(value)
+            for setter in self.setters
+            for variable, value in zip(setter.variables, setter.buffer, strict=True)
+        }
 
 
-def _copy(source: Any, chosen: Any, target: Any, places: Any) -> None:
+def _copy(source: Table, chosen: Places, target: Table, places: Places) -> None:
     target[places] = source[chosen]
 
 
-def _convert(tables: Mapping[str, Any], conversions: Sequence[Conversion], buffer: Any) -> None:
+def _convert(tables: Mapping[str, Table], conversions: Sequence[Conversion], buffer: Table) -> None:
     for c in conversions:
         buffer[c.target] = c.factor * float(tables[c.kind][c.source]) + c.offset
 
 
 class ComponentFailed(Exception):
-    """A component failed.  `.name`: its name; the text: its words."""
+    """A component failed.  `.name`: its name; `.status`: of FMI."""
 
-    def __init__(self, stepper: Stepper, words: str, status: int = 3):
-        super().__init__(words)
+    def __init__(self, stepper: Stepper, message: str, status: int = ERROR):
+        super().__init__(message)
         self.stepper, self.name, self.status = stepper, stepper.component.name, status
 
 

@@ -27,7 +27,7 @@ from ..instances.live import LiveInstance
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
 from .observer import SystemView
-from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Input, Publication, Stepper, failing
+from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Getter, Publication, Setter, Stepper, failing
 
 Context = Mapping[str, Mapping[str, Any]]
 
@@ -47,8 +47,11 @@ class Shelf:
 
 
 class System:
-    """An opened plan.  `members`: in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
-    outputs; `recorded`: {kind: places}."""
+    """An opened plan.
+
+    `steppers`: its components, in the order of stepping; `tables`: {kind: values}, of which the first `computed` are
+    outputs; `recorded`: {kind: places}; `places`: {(component, variable): place in the table of its kind}.
+    """
 
     def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, shelf: Shelf):
         self.plan, self._interrupted, self._context, self._shelf = plan, interrupted, context, shelf
@@ -220,14 +223,30 @@ class System:
                 targets.append(target)
             else:
                 conversions.append(
-                    Conversion(connection.output.kind, source, target, connection.factor, connection.offset)
+                    Conversion(
+                        kind=connection.output.kind,
+                        source=source,
+                        target=target,
+                        factor=connection.factor,
+                        offset=connection.offset,
+                    )
                 )
-        direct = np.array(sources, dtype=np.intp), np.array(targets, dtype=np.intp)
         computed = {kind: table[: self.computed[kind]] for kind, table in self.tables.items()}
-        stepper.reads(Input(kind, variables, buffer, *direct, conversions), computed)
+        stepper.add_setter(
+            Setter(
+                kind=kind,
+                variables=variables,
+                buffer=buffer,
+                sources=np.array(sources, dtype=np.intp),
+                targets=np.array(targets, dtype=np.intp),
+                conversions=conversions,
+            ),
+            computed,
+        )
         if stepper.instance.batched and self.plan.experiment.record.inputs:
-            everything = np.arange(n, dtype=np.intp)
-            stepper.publishes(Publication(kind, AT_ONCE, buffer, everything, everything + first), self.tables[kind])
+            every = np.arange(n, dtype=np.intp)
+            publication = Publication(kind=kind, moment=AT_ONCE, buffer=buffer, chosen=every, targets=every + first)
+            stepper.add_publication(publication, self.tables[kind])
 
     def _wire_outputs(self, stepper: Stepper, kind: str, variables: list[Variable], first: int) -> None:
         table, n = self.tables[kind], len(variables)
@@ -241,10 +260,13 @@ class System:
             for chosen, moment in ((at_once, TICK_END if jacobi else AT_ONCE), (later, PERIOD_END)):
                 if chosen:
                     places = np.array(chosen, dtype=np.intp)
-                    stepper.publishes(Publication(kind, moment, buffer, places, places + first), table)
+                    stepper.add_publication(
+                        Publication(kind=kind, moment=moment, buffer=buffer, chosen=places, targets=places + first),
+                        table,
+                    )
         if kind == "real":
             stepper.reals, stepper.places = variables, range(first, first + n)
-        stepper.gives(kind, variables, buffer)
+        stepper.add_getter(Getter(kind=kind, variables=variables, buffer=buffer))
 
 
 class _Ports:

@@ -14,7 +14,7 @@ from pathlib import Path
 from ...fmu.fmu import platform_folder
 from ...models import compiler as compilers
 from ...models.catalogue import build_folder
-from ...simulation.loop import extension
+from ...simulation.loop import compiled, out_of_date
 
 NEEDED = ("numpy", "h5py", "fmpy", "pythonfmu", "casadi", "matplotlib", "pandas", "click")
 OPTIONAL = {
@@ -80,8 +80,10 @@ def _packaging() -> tuple[str, str]:
 
 
 def _loop() -> tuple[str, str]:
-    if extension() is not None:
+    if compiled() is not None:
         return "ok", "compiled"
+    if message := out_of_date():
+        return "note", message
     return "note", "python: the compiled one, ten times faster, is built where orch is installed with a C compiler"
 
 

@@ -47,7 +47,7 @@ def _go_on(system: System, stepper: Stepper, checkpoint: Checkpoint) -> None:
     was = checkpoint.components[stepper.component.name]
     set_up(system, stepper)
     with failing(stepper):
-        _put_back(stepper.inputs, was["given"])
+        _put_back(stepper.setters, was["given"])
         for set_ in stepper.sets:
             stepper.instance.check(set_())
         stepper.instance.begin()
@@ -62,8 +62,8 @@ def _go_on(system: System, stepper: Stepper, checkpoint: Checkpoint) -> None:
         except (CallFailed, FmuError) as error:
             raise ComponentFailed(stepper, f"its state cannot be restored: {error}") from None
     read(stepper)  # of what is recorded or connected only now
-    _put_back(stepper.inputs, was["given"])
-    _put_back(stepper.outputs, was["computed"])
+    _put_back(stepper.setters, was["given"])
+    _put_back(stepper.getters, was["computed"])
     for name, value in was["values"].items():
         if (place := system.places.get((stepper.component.name, name))) is not None:
             kind = stepper.component.fmu.variables[name].kind

@@ -84,8 +84,8 @@ def _facts(system: System, stepper: Stepper) -> dict[str, Any]:
         "parameters": dict(component.parameters),
         "start": dict(component.start),
         "values": values,
-        "given": _of_buffers(stepper.inputs),
-        "computed": _of_buffers(stepper.outputs),
+        "given": _of_buffers(stepper.setters),
+        "computed": _of_buffers(stepper.getters),
     }
 
 
