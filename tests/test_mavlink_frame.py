@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.manual import MavlinkManual
-from orchestrator.mavlink.vehicle.frame import FACTORS, Frame, t200_pwm, t200_thrust
+from orchestrator.mavlink.vehicle.frame import FACTORS, ThrusterFrame, t200_pwm, t200_thrust
 from orchestrator.mavlink.vehicle.sample import rotation, to_earth, to_ned
 
 c = s = math.sqrt(0.5)
@@ -24,7 +24,7 @@ SHIPPED = np.array(
 
 
 def test_the_shipped_matrix_is_ardusubs_frame_with_every_thruster_turned_round():
-    frame = Frame(SHIPPED)
+    frame = ThrusterFrame(SHIPPED)
     assert frame.motors == [1, 0, 3, 2, 5, 4]
     assert frame.signs == [-1] * 6
     assert frame.pwm(np.array([1, 0.5, 0, -0.25, -1, 2])) == [1300, 1100, 1600, 1500, 1100, 1900]
@@ -35,7 +35,7 @@ def test_the_shipped_matrix_is_ardusubs_frame_with_every_thruster_turned_round()
 def test_forces_through_ardusubs_mixer_are_those_of_the_vehicle(axis, directions):
     """The sum of deflections times ArduSub's factors has the sign of the force, or there is none on that axis."""
     random = np.random.default_rng(axis)
-    frame = Frame(SHIPPED)
+    frame = ThrusterFrame(SHIPPED)
     for u in random.uniform(-1, 1, (20, 6)):
         deflections = (np.array(frame.pwm(u, directions)) - 1500) / 400 * directions
         force = SHIPPED[axis] @ u
@@ -46,7 +46,7 @@ def test_forces_through_ardusubs_mixer_are_those_of_the_vehicle(axis, directions
 
 @pytest.mark.parametrize("pwm_map", ["linear", "t200_16V"])
 def test_commands_survive_the_way_to_pwm_and_back(pwm_map):
-    frame = Frame(SHIPPED, 39.0, pwm_map)
+    frame = ThrusterFrame(SHIPPED, 39.0, pwm_map)
     u = np.array([0.9, -0.9, 0.3, -0.2, 0.0, 1.0])
     assert frame.u(frame.pwm(u)) == pytest.approx(u, abs=0.01)  # a microsecond is up to 0.4 N
     assert frame.u([0] * 6) == pytest.approx(np.zeros(6))
@@ -54,7 +54,7 @@ def test_commands_survive_the_way_to_pwm_and_back(pwm_map):
 
 def test_any_order_and_sense_of_thrusters_is_recognized():
     order, turned = [3, 5, 0, 1, 4, 2], np.array([1, -1, 1, 1, -1, -1])
-    frame = Frame((FACTORS[order] * turned[:, None]).T * np.array([[3], [2], [1], [0.1], [1], [0.5]]))
+    frame = ThrusterFrame((FACTORS[order] * turned[:, None]).T * np.array([[3], [2], [1], [0.1], [1], [0.5]]))
     assert frame.motors == order
     assert frame.signs == turned.tolist()
 
@@ -70,7 +70,7 @@ def test_any_order_and_sense_of_thrusters_is_recognized():
 )
 def test_a_matrix_that_is_no_vectored_frame_is_refused_with_a_sentence(matrix, words):
     with pytest.raises(OrchError, match=words):
-        Frame(matrix)
+        ThrusterFrame(matrix)
 
 
 def test_the_t200_has_a_dead_band_and_pushes_better_forward():

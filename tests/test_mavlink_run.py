@@ -204,7 +204,7 @@ def test_system_ids_origin_and_pwm_come_from_the_experiment(run, spiral, write):
 def test_a_matrix_that_is_no_vectored_frame_does_not_start(orch):
     answer = orch("run", GRIPPING, "--mavlink", "udpin:127.0.0.1:9", "--set", "components.vehicle1.parameters.d_psi=0")
     assert answer.code == 2
-    assert "mavlink.vehicles.vehicle1: its thruster matrix is no vectored frame" in answer.err
+    assert "mavlink.vehicles.vehicle1: its thruster matrix is not that of a vectored frame" in answer.err
 
 
 def test_signed_frames_go_out_and_only_signed_ones_count(run, tmp_path):

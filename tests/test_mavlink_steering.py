@@ -18,9 +18,9 @@ from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply
 from orchestrator.mavlink.components.manual import MavlinkManual
 from orchestrator.mavlink.protocol import steering
-from orchestrator.mavlink.vehicle.autopilot import MODES, Autopilot
+from orchestrator.mavlink.vehicle.autopilot import Autopilot, FlightMode
 from orchestrator.mavlink.vehicle.control import Control, SetPoint, Stick
-from orchestrator.mavlink.vehicle.parameters import Parameters
+from orchestrator.mavlink.vehicle.parameters import AutopilotParameters
 from orchestrator.mavlink.vehicle.sample import Sample
 
 H = 0.01
@@ -34,13 +34,28 @@ def control():
 @pytest.fixture
 def autopilot(control):
     """A vehicle at (1, 2, 3), heading east."""
-    found = Autopilot(1, "vehicle", Parameters(1, {}, {}), (44.65, -124.05), control=control, mode=MODES["POSHOLD"])
-    eta = np.array([1.0, 2.0, 3.0, 0.0, 0.0, math.pi / 2])
-    found.show(Sample(0.0, eta, np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(6), found.origin))
-    return found
+    autopilot = Autopilot(
+        system=1,
+        component="vehicle",
+        parameters=AutopilotParameters(1, {}, {}),
+        origin=(44.65, -124.05),
+        control=control,
+        mode=FlightMode.POSHOLD,
+    )
+    sample = Sample(
+        t=0.0,
+        eta=np.array([1.0, 2.0, 3.0, 0.0, 0.0, math.pi / 2]),
+        nu=np.zeros(6),
+        u=np.zeros(6),
+        specific_force=np.zeros(3),
+        eta_d=np.zeros(6),
+        origin=autopilot.origin,
+    )
+    autopilot.show(sample)
+    return autopilot
 
 
-def tell(autopilot, text):
+def announce(autopilot, text):
     """Nobody listens."""
 
 
@@ -57,7 +72,7 @@ def test_a_joystick_moves_the_reference_as_the_vehicle_points(control, autopilot
     component = MavlinkManual("manual", {}, {"control": control})
     eta = np.array([1.0, 2.0, 3.0, 0.1, 0.1, math.pi / 2])
     assert component.start(eta)[:6] == pytest.approx([1, 2, 3, 0, 0, math.pi / 2])
-    steering.Pilot(autopilot).manual_control(manual_control(x=1000, z=1000), time.monotonic(), tell)
+    steering.Pilot(autopilot).manual_control(manual_control(x=1000, z=1000), time.monotonic(), announce)
     path = follow(component, eta, 2.0)
     # Surge is east; with ArduSub's gain of 0.5 half of 1 m/s, and half of 0.5 m/s up.
     assert path[-1][:3] == pytest.approx([1, 2 + 0.5 * (2 - 0.5), 3 - 0.25 * (2 - 0.5)], abs=0.03)
@@ -67,7 +82,7 @@ def test_a_joystick_moves_the_reference_as_the_vehicle_points(control, autopilot
 def test_the_reference_is_smooth_and_its_derivatives_are_its_own(control):
     component = MavlinkManual("manual", {}, {"control": control})
     component.start(np.zeros(6))
-    control.stick = Stick(1.0, -0.5, 0.3, 0.7, time.monotonic())
+    control.stick = Stick(surge=1.0, sway=-0.5, heave=0.3, yaw=0.7, at=time.monotonic())
     path = follow(component, np.zeros(6), 3.0)
     place, rate, change = path[:, :6], path[:, 6:12], path[:, 12:18]
     assert np.diff(place, axis=0) / H == pytest.approx((rate[1:] + rate[:-1]) / 2, abs=1e-9)
@@ -80,9 +95,9 @@ def test_silence_stops_the_reference_after_ardusubs_timeout(control, autopilot):
     component.start(np.zeros(6))
     pilot = steering.Pilot(autopilot)
     autopilot.parameters.set("FS_PILOT_TIMEOUT", 0.5)
-    pilot.manual_control(manual_control(x=500), time.monotonic() - 1.0, tell)
+    pilot.manual_control(manual_control(x=500), time.monotonic() - 1.0, announce)
     assert control.demands() == (0, 0, 0, 0)
-    pilot.manual_control(manual_control(x=500), time.monotonic(), tell)
+    pilot.manual_control(manual_control(x=500), time.monotonic(), announce)
     assert control.demands()[0] == pytest.approx(0.25)
     control.armed = False
     assert control.demands() == (0, 0, 0, 0)
@@ -90,15 +105,15 @@ def test_silence_stops_the_reference_after_ardusubs_timeout(control, autopilot):
 
 def test_axes_beyond_their_range_and_buttons_do_what_ardusub_does(control, autopilot):
     pilot, now = steering.Pilot(autopilot), time.monotonic()
-    pilot.manual_control(manual_control(x=32767, y=-32768, z=-5, r=2000), now, tell)
+    pilot.manual_control(manual_control(x=32767, y=-32768, z=-5, r=2000), now, announce)
     assert control.demands() == (0, 0, 0, 0)
-    pilot.manual_control(manual_control(buttons=1 << 3), now, tell)  # BTN3: depth hold
-    assert autopilot.mode == MODES["ALT_HOLD"]
-    pilot.manual_control(manual_control(buttons=1 << 3 | 1 << 2), now, tell)  # BTN2: POSHOLD; BTN3 is still down
-    assert autopilot.mode == MODES["POSHOLD"]
-    pilot.manual_control(manual_control(x=1000, buttons=1 << 11), now, tell)  # BTN11: more gain
+    pilot.manual_control(manual_control(buttons=1 << 3), now, announce)  # BTN3: depth hold
+    assert autopilot.mode == FlightMode.ALT_HOLD
+    pilot.manual_control(manual_control(buttons=1 << 3 | 1 << 2), now, announce)  # BTN2: POSHOLD; BTN3 is still down
+    assert autopilot.mode == FlightMode.POSHOLD
+    pilot.manual_control(manual_control(x=1000, buttons=1 << 11), now, announce)  # BTN11: more gain
     assert control.demands()[0] == pytest.approx(0.75)
-    pilot.manual_control(manual_control(buttons=1 << 4), now, tell)
+    pilot.manual_control(manual_control(buttons=1 << 4), now, announce)
     assert not control.armed
 
 
@@ -122,10 +137,10 @@ def test_channel_overrides_move_it_too(control, autopilot):
 def test_set_points_count_in_mode_guided_in_every_frame(control, autopilot, frame, mask, point, expected):
     still = [0] * 8
     message = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *point, *still)
-    steering.set_point(autopilot, message, 0.0)
+    steering.set_point(autopilot, message)
     assert control.set_point is None
-    autopilot.mode, control.guided = MODES["GUIDED"], True
-    steering.set_point(autopilot, message, 0.0)
+    autopilot.mode, control.guided = FlightMode.GUIDED, True
+    steering.set_point(autopilot, message)
     assert control.target().position == pytest.approx(expected)
 
 
@@ -133,7 +148,7 @@ def test_a_set_point_is_reached_without_overshoot_within_the_limits(control):
     component = MavlinkManual("manual", {"lag": 0.4}, {"control": control})
     component.start(np.zeros(6))
     control.guided = True
-    control.set_point = SetPoint((4.0, -3.0, 1.0), yaw=math.radians(-170))
+    control.set_point = SetPoint(position=(4.0, -3.0, 1.0), yaw=math.radians(-170))
     path = follow(component, np.zeros(6), 25.0)
     assert path[-1][:3] == pytest.approx([4, -3, 1], abs=0.01)
     assert path[-1][5] == pytest.approx(math.radians(-170), abs=0.01)
@@ -220,7 +235,7 @@ def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_
     station = Station.udpout(port)
     while not station.receive(0.1) and process.poll() is None:
         station.heartbeat()
-    assert station.command(176, 1, MODES["GUIDED"]) == 0
+    assert station.command(176, 1, FlightMode.GUIDED) == 0
     still = [0] * 8
     station.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, 2.5, -1.2, 1.3, *still))
     station.listen(2.0)
@@ -347,9 +362,9 @@ def test_the_reply_is_what_ardupilots_parser_wants():
 
 def test_a_port_that_is_taken_and_an_ardupilot_that_is_silent_are_said():
     component = ArdupilotJson("ardusub", {"port": float(port := free_port()), "patience": 0.2}, {})
-    with pytest.raises(OrchError, match=rf"components\.ardusub2\.parameters\.port: {port} cannot be had"):
+    with pytest.raises(OrchError, match=rf"components\.ardusub2\.parameters\.port: {port} cannot be opened"):
         ArdupilotJson("ardusub2", {"port": port}, {})
-    with pytest.raises(OrchError, match="no packet of ArduPilot"):
+    with pytest.raises(OrchError, match="no packet from ArduPilot"):
         component.listen(0.0, np.zeros(15))
     with pytest.raises(OrchError, match=r"components\.ardusub\.step"):
         component.step(0.0, 0.1, np.zeros(15), np.zeros(6))

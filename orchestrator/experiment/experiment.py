@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import Problem
+from . import mavlink
+from .mavlink import MavlinkSpec
 from .timegrid import Grid
 
 
@@ -68,3 +70,8 @@ class Experiment:
     @property
     def grid(self) -> Grid:
         return Grid(self.master.step)
+
+    @property
+    def mavlink_spec(self) -> MavlinkSpec:
+        """What [mavlink] says."""
+        return mavlink.read(self.mavlink, [component.name for component in self.components])[0]

@@ -1,7 +1,7 @@
-"""The bridge: an observer that looks at the vehicles between chunks of the run, and a thread that talks to stations.
+"""The bridge: an observer that samples the vehicles between chunks of the run, and a thread that talks to stations.
 
-The run hands over the latest sample of each vehicle and goes on; it never waits.  The thread sends at its own times by
-the clock on the wall: a heartbeat a second whatever the simulation does, telemetry of the latest sample.
+The run hands over the latest sample of each vehicle and goes on; it never waits.  The thread sends by the wall clock: a
+heartbeat every second whatever the simulation does, and telemetry of the latest sample.
 """
 
 from __future__ import annotations
@@ -18,33 +18,34 @@ from typing import Any
 
 from ..plan.plan import Plan
 from ..simulation.observer import Observer, SystemView
+from .fleet import fleet
 from .protocol import telemetry
 from .protocol.conversation import Conversation
+from .protocol.dialect import Message
 from .protocol.links import Endpoint, Link, Peer, open_link
-from .protocol.station import Station
+from .protocol.station import HEARTBEAT_EVERY, Station
 from .vehicle.autopilot import Autopilot
 from .vehicle.control import Control
-from .view import View, fleet
+from .view import VehicleView
 
-HEARTBEAT = 1.0  # s
-# What a message with absurd contents may raise on its way.
+# What the handling of a message with absurd contents may raise.
 NONSENSE = (ValueError, TypeError, ArithmeticError, LookupError, AttributeError, struct.error)
-NAP = 0.05  # s, at most
-SHORTEST_NAP = 1e-3  # s
-SWITCH = 1e-3  # s that one thread may keep the other from Python: the run's pace suffers from more
-TURN = 0.02  # s, at most, of one link's messages in a turn: the others and the heartbeat have theirs, too
+SHORTEST_NAP, LONGEST_NAP = 1e-3, 0.05  # s
+SWITCH = 1e-3  # s that one thread may keep the other from Python; more disturbs the pace of the run
+TURN = 0.02  # s that the messages of one link may take before the other links and the heartbeat get their turn
+JOIN = 2.0  # s to wait for the end of the thread
 
 
 def at_once(tick: int) -> float:
-    """Of a run that keeps no pace."""
+    """When it is time for a tick of a run without pace."""
     return 0.0
 
 
 class Bridge(Observer):
     """Shows the vehicles of a plan at endpoints.
 
-    controls: {component of a vehicle: where its steering goes}; due: when it is time for a tick (monotonic) [s].
-    Raises OrchError where an endpoint cannot be opened or a vehicle cannot be shown.
+    key: signs every frame.  controls: {component of a vehicle: where its steering goes}.  due: when it is time for a
+    tick (monotonic) [s].  Raises OrchError if an endpoint cannot be opened or a vehicle cannot be shown.
     """
 
     def __init__(
@@ -57,11 +58,11 @@ class Bridge(Observer):
     ):
         self.counts: Counter[str] = Counter()
         self._key = key
-        self.autopilots: list[Autopilot] = fleet(plan, controls or {}, [e for e in endpoints if e.system is not None])
-        self._view = View(plan, self.autopilots, due)
+        self.autopilots = fleet(plan, controls or {}, [e for e in endpoints if e.system is not None])
+        self._view = VehicleView(plan, self.autopilots, due)
         self._stations: dict[Peer, Station] = {}
-        self._conversation = Conversation(self.tell, self._echo)
-        self._numbers = 0
+        self._conversation = Conversation(self.announce, self._echo)
+        self._count = 0  # of stations so far
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
         self._links: list[Link] = []
@@ -73,6 +74,7 @@ class Bridge(Observer):
             raise
 
     def watched(self, plan: Plan) -> Plan:
+        """The plan whose system has a place for every value that is shown."""
         return self._view.watched(plan)
 
     def opened(self, view: SystemView) -> None:
@@ -92,18 +94,18 @@ class Bridge(Observer):
         return {"mavlink": dict(sorted(self.counts.items()))}
 
     def close(self) -> None:
-        """Stop talking."""
+        """End the thread and close the endpoints."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(timeout=2.0)
+            self._thread.join(timeout=JOIN)
             sys.setswitchinterval(self._interval)
         self._close_links()
 
-    def tell(self, autopilot: Autopilot, text: str) -> None:
-        """A STATUSTEXT to all stations that see the vehicle."""
+    def announce(self, autopilot: Autopilot, text: str) -> None:
+        """Send a STATUSTEXT to all stations that see the vehicle."""
         self._echo(autopilot, telemetry.statustext(text))
 
-    def _echo(self, autopilot: Autopilot, message: Any) -> None:
+    def _echo(self, autopilot: Autopilot, message: Message) -> None:
         for station in self._stations.values():
             if channel := station.channels.get(autopilot.system):
                 channel.send(message)
@@ -124,24 +126,24 @@ class Bridge(Observer):
             for message in station.messages(data):
                 self.counts["messages received"] += 1
                 self._answer(station, message, now)
-            if time.monotonic() > deadline:  # a flood: the rest waits, and what the system cannot keep is lost
+            if time.monotonic() > deadline:  # a flood: the rest waits; what exceeds the system's buffer is lost
                 break
 
-    def _answer(self, station: Station, message: Any, now: float) -> None:
+    def _answer(self, station: Station, message: Message, now: float) -> None:
         for channel in station.channels.values():
             try:
                 self._conversation.handle(channel, message, now)
             except NONSENSE as error:
-                # What a station sends must not end the conversation with the others.
+                # No message of one station may end the conversation with the others.
                 self.counts[f"not understood: {message.get_type()} ({type(error).__name__})"] += 1
 
     def _station(self, peer: Peer, now: float) -> Station:
         station = self._stations.get(peer)
         if station is None:
-            self._numbers += 1
+            self._count += 1
             only = peer.link.endpoint.system
             autopilots = [a for a in self.autopilots if only in (None, a.system)]
-            station = Station(peer, autopilots, self._key, self._numbers, now, self.counts)
+            station = Station(peer, autopilots, self._key, self._count, now, self.counts)
             self._stations[peer] = station
         return station
 
@@ -154,20 +156,20 @@ class Bridge(Observer):
         wall = time.time()
         for station in list(self._stations.values()):
             for channel in station.channels.values():
-                if channel.has_changed():  # of mode, or armed: at once
+                if channel.has_changed():  # mode or arming: stations learn of it at once
                     channel.send(telemetry.heartbeat(channel.autopilot))
                 elif channel.heartbeat_due <= now:
                     channel.send(telemetry.heartbeat(channel.autopilot))
-                    late = now - channel.heartbeat_due
-                    channel.heartbeat_due = channel.heartbeat_due + HEARTBEAT if late < HEARTBEAT else now + HEARTBEAT
+                    late = now - channel.heartbeat_due >= HEARTBEAT_EVERY
+                    channel.heartbeat_due = (now if late else channel.heartbeat_due) + HEARTBEAT_EVERY
                 channel.turn(now, wall)
 
     def _wait(self) -> None:
-        """Until something comes or is due."""
+        """Wait until something comes or is due."""
         due = min((c.due() for s in self._stations.values() for c in s.channels.values()), default=float("inf"))
-        nap = min(NAP, max(SHORTEST_NAP, due - time.monotonic()))
+        nap = min(LONGEST_NAP, max(SHORTEST_NAP, due - time.monotonic()))
         files = [file for link in self._links for file in link.files()]
-        with contextlib.suppress(OSError, ValueError):  # one of them was closed meanwhile
+        with contextlib.suppress(OSError, ValueError):  # one of them has just been closed
             select.select(files, [], [], nap)
             return
         time.sleep(nap)

@@ -1,4 +1,4 @@
-"""Telemetry logs: frames as they would have been sent, each after its Unix time in microseconds, big-endian.
+"""Telemetry logs: the frames that would have been sent, each after its Unix time in microseconds, big-endian.
 
 https://ardupilot.org/planner/docs/mission-planner-telemetry-logs.html; read by QGroundControl, MAVProxy, MAVExplorer.
 """
@@ -9,68 +9,72 @@ import heapq
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from .protocol import telemetry
 from .protocol.conversation import parameter_value
-from .protocol.station import HOME_EVERY
+from .protocol.dialect import Message
+from .protocol.station import HEARTBEAT_EVERY, HOME_EVERY
 from .protocol.wire import Encoder
 from .vehicle.autopilot import Autopilot
 from .vehicle.sample import Sample
 
-EPOCH = 1_577_836_800  # s; a log begins on 1 January 2020, whenever the run was made: same run, same bytes
-HEARTBEAT = 1.0  # Hz
+if TYPE_CHECKING:
+    from ..arrays import Reals
+
+EPOCH = 1_577_836_800  # s; every log begins on 1 January 2020, so that the same record gives the same bytes
+TOLERANCE = 1e-9  # s, when a time of the record is compared with one of a message
 
 
-@dataclass(frozen=True)
-class Track:
-    """A vehicle over a run: times (N,) [s] of its samples, and a function from row to sample."""
+@dataclass(frozen=True, kw_only=True)
+class LoggedVehicle:
+    """A vehicle over a run.  times: (N,) of its samples [s].  sample: the sample of a row."""
 
     autopilot: Autopilot
-    times: Any
+    times: Reals
     sample: Callable[[int], Sample]
 
 
-def write(tracks: Sequence[Track], file: BinaryIO) -> None:
-    """Every message at its default rate; a sample is sent once."""
-    encoders = [Encoder(track.autopilot.system) for track in tracks]
+def write(vehicles: Sequence[LoggedVehicle], file: BinaryIO) -> None:
+    """Write every message at its default rate, but none twice from the same sample."""
+    encoders = [Encoder(vehicle.autopilot.system) for vehicle in vehicles]
 
-    def put(t: float, track: int, message: object) -> None:
-        file.write(struct.pack(">Q", round((EPOCH + t) * 1e6)) + encoders[track].frame(message))
+    def put(t: float, number: int, message: Message) -> None:
+        file.write(struct.pack(">Q", round((EPOCH + t) * 1e6)) + encoders[number].frame(message))
 
-    for number, track in enumerate(tracks):
-        put(0.0, number, telemetry.heartbeat(track.autopilot))
+    for number, vehicle in enumerate(vehicles):
+        put(0.0, number, telemetry.heartbeat(vehicle.autopilot))
         for message in telemetry.banner():
             put(0.0, number, message)
-        for parameter in track.autopilot.parameters.all:
-            put(0.0, number, parameter_value(track.autopilot, parameter))
-    sent: dict[tuple[int, str], int] = {}
-    rows = [0] * len(tracks)
-    for t, number, name in heapq.merge(*(_beats(n, track) for n, track in enumerate(tracks))):
-        track = tracks[number]
-        while rows[number] + 1 < len(track.times) and track.times[rows[number] + 1] <= t + 1e-9:
+        for parameter in vehicle.autopilot.parameters.all:
+            put(0.0, number, parameter_value(vehicle.autopilot, parameter))
+    sent: dict[tuple[int, str], int] = {}  # row of the sample that a message was last made from
+    rows = [0] * len(vehicles)
+    for t, number, name in heapq.merge(*(_beats(n, vehicle) for n, vehicle in enumerate(vehicles))):
+        vehicle = vehicles[number]
+        while rows[number] + 1 < len(vehicle.times) and vehicle.times[rows[number] + 1] <= t + TOLERANCE:
             rows[number] += 1
         if name == "HEARTBEAT":
-            put(t, number, telemetry.heartbeat(track.autopilot))
+            put(t, number, telemetry.heartbeat(vehicle.autopilot))
         elif sent.get((number, name)) != rows[number]:
             sent[number, name] = rows[number]
-            at = track.sample(rows[number])
-            for message in telemetry.STREAMED[name][1](track.autopilot, at, EPOCH + at.t):
+            at = vehicle.sample(rows[number])
+            for message in telemetry.STREAMED[name][1](vehicle.autopilot, at, EPOCH + at.t):
                 put(t, number, message)
 
 
-def _beats(number: int, track: Track) -> Iterator[tuple[float, int, str]]:
-    """When which message is due, in order."""
-    rates = {"HEARTBEAT": HEARTBEAT, "HOME_POSITION": 1 / HOME_EVERY}
+def _beats(number: int, vehicle: LoggedVehicle) -> Iterator[tuple[float, int, str]]:
+    """When which message is due, in order: time [s], number of the vehicle, name of the message."""
+    rates = {"HEARTBEAT": 1 / HEARTBEAT_EVERY, "HOME_POSITION": 1 / HOME_EVERY}
     for name, (stream, _) in telemetry.STREAMED.items():
         if stream is not None:
-            rates[name] = track.autopilot.parameters[f"SR0_{stream}"]
-    end = float(track.times[-1])
+            rates[name] = vehicle.autopilot.parameters[f"SR0_{stream}"]
+    end = float(vehicle.times[-1])
 
     def every(name: str, rate: float) -> Iterator[tuple[float, int, str]]:
         beat = 0
         while rate > 0 and (t := beat / rate) <= end:
-            if beat or name != "HEARTBEAT":  # the first one is there already
+            if beat or name != "HEARTBEAT":  # the first one is at the beginning of the log
                 yield t, number, name
             beat += 1
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from .. import metrics
 from ..errors import ExperimentError, FmuError, Problem, did_you_mean
-from ..experiment import mavlink
 from ..experiment.experiment import ComponentSpec, Experiment
 from ..fmu import builtin
 from ..fmu.fmu import Fmu, read
@@ -300,7 +299,7 @@ class _Resolver:
 
     def check_vehicles(self, components: list[Component]) -> None:
         vehicles = [component.name for component in components if component.is_vehicle]
-        for name in mavlink.read(self.experiment.mavlink, self.components)[0].vehicles:
+        for name in self.experiment.mavlink_spec.vehicles:
             if name in self.fmus and name not in vehicles:
                 near = did_you_mean(name, vehicles, "vehicles")
                 self.problem(

@@ -88,7 +88,7 @@ def run(
             files.target(tlog, used=[*used, *([output] if output else [])])
         plan = prepared(experiment or None, sets, swaps, told, packaging, start)
         if tlog is not None:
-            from ...mavlink.view import spec_of
+            from ...mavlink.fleet import spec_of
 
             spec_of(plan)  # its problems are known before the run
         ticks = ticks_of(plan, times)

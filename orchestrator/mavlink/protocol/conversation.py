@@ -1,6 +1,6 @@
-"""What ground stations ask, and the answers: one function a message.
+"""Requests of ground stations and their answers: one function for each message.
 
-A message counts when it is for this vehicle (target system 0 or its own) and its autopilot (component 0 or 1).
+A message is answered if it is for this vehicle (target system 0 or its own) and its autopilot (component 0 or 1).
 """
 
 from __future__ import annotations
@@ -11,140 +11,149 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..vehicle.autopilot import Autopilot
-from ..vehicle.parameters import Parameter
+from ..vehicle.parameters import AutopilotParameter, ParameterType
+from ..vehicle.sample import E7
 from . import steering, telemetry
-from .commands import Command, carry_out, change_mode
-from .dialect import AUTOPILOT, message
-from .station import Channel
+from .commands import Announce, Command, carry_out, change_mode
+from .dialect import AUTOPILOT, Message, mavlink
+from .station import VehicleChannel
 
-MISSION_TYPES = (0, 1, 2, 255)  # MAV_MISSION_TYPE
-MISSION_ACCEPTED, MISSION_UNSUPPORTED, MISSION_INVALID_SEQUENCE = 0, 3, 13  # MAV_MISSION_RESULT
-GROUND_STATION = 6  # MAV_TYPE
-CUSTOM_MODE = 1
-
-Tell = Callable[[Autopilot, str], None]
+MISSION_TYPES = (
+    mavlink.MAV_MISSION_TYPE_MISSION,
+    mavlink.MAV_MISSION_TYPE_FENCE,
+    mavlink.MAV_MISSION_TYPE_RALLY,
+    mavlink.MAV_MISSION_TYPE_ALL,
+)
+PARAMETER_TYPES = {
+    ParameterType.INT8: mavlink.MAV_PARAM_TYPE_INT8,
+    ParameterType.INT16: mavlink.MAV_PARAM_TYPE_INT16,
+    ParameterType.INT32: mavlink.MAV_PARAM_TYPE_INT32,
+    ParameterType.FLOAT: mavlink.MAV_PARAM_TYPE_REAL32,
+}
+EVERYBODY = 0  # as target system or component
 
 
 class Conversation:
-    """tell: sends a text to all stations; echo: a parameter, likewise."""
+    """Answers the requests of all stations.  echo: sends a message of a vehicle to all stations."""
 
-    def __init__(self, tell: Tell, echo: Callable[[Autopilot, Any], None]):
-        self._tell, self._echo = tell, echo
+    def __init__(self, announce: Announce, echo: Callable[[Autopilot, Message], None]):
+        self._announce, self._echo = announce, echo
         self._pilots: dict[int, steering.Pilot] = {}
 
-    def handle(self, channel: Channel, asked: Any, now: float) -> None:
-        """Answer a message, if it is for this vehicle."""
-        system = getattr(asked, "target_system", getattr(asked, "target", 0))
-        component = getattr(asked, "target_component", 0)
-        if asked.get_type() == "PING":
-            system = component = 0 if not asked.target_system else -1  # addressed: an answer to somebody
-        if system not in (0, channel.autopilot.system) or component not in (0, AUTOPILOT):
+    def handle(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        """Answer a message if it is for this vehicle.  now: monotonic [s]."""
+        if not _is_for(request, channel.autopilot):
             return
-        handler = HANDLERS.get(asked.get_type())
+        handler = HANDLERS.get(request.get_type())
         if handler:
-            handler(self, channel, asked, now)
+            handler(self, channel, request, now)
 
-    def _command_long(self, channel: Channel, asked: Any, now: float) -> None:
-        parameters = [getattr(asked, f"param{n}") for n in range(1, 8)]
-        self._command(channel, asked, parameters, now)
+    def _command_long(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        parameters = [getattr(request, f"param{n}") for n in range(1, 8)]
+        self._command(channel, request, parameters, now)
 
-    def _command_int(self, channel: Channel, asked: Any, now: float) -> None:
-        parameters = [asked.param1, asked.param2, asked.param3, asked.param4, asked.x / 1e7, asked.y / 1e7, asked.z]
-        self._command(channel, asked, parameters, now)
+    def _command_int(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        first = [getattr(request, f"param{n}") for n in range(1, 5)]
+        self._command(channel, request, [*first, request.x / E7, request.y / E7, request.z], now)
 
-    def _command(self, channel: Channel, asked: Any, parameters: list[float], now: float) -> None:
-        result, messages = carry_out(asked.command, Command(parameters, now, time.time(), self._tell), channel)
-        channel.send(message("COMMAND_ACK", asked.command, result, 0, 0, *_station(asked)), *messages)
+    def _command(self, channel: VehicleChannel, request: Message, parameters: list[float], now: float) -> None:
+        command = Command(parameters=parameters, now=now, wall=time.time(), announce=self._announce)
+        result, messages = carry_out(request.command, command, channel)
+        ack = mavlink.MAVLink_command_ack_message(
+            command=request.command, result=result, progress=0, result_param2=0, **_to_sender(request)
+        )
+        channel.send(ack, *messages)
 
-    def _set_mode(self, channel: Channel, asked: Any, now: float) -> None:
-        if asked.base_mode & CUSTOM_MODE:
-            change_mode(channel.autopilot, asked.custom_mode, self._tell)
+    def _set_mode(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if request.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            change_mode(channel.autopilot, request.custom_mode, self._announce)
 
-    def _data_stream(self, channel: Channel, asked: Any, now: float) -> None:
-        channel.set_stream(asked.req_stream_id, asked.req_message_rate if asked.start_stop else None, now)
+    def _data_stream(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        channel.set_stream(request.req_stream_id, request.req_message_rate if request.start_stop else None, now)
 
-    def _param_list(self, channel: Channel, asked: Any, now: float) -> None:
-        if not channel.busy("parameters"):
+    def _param_list(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if not channel.is_answering("parameters"):
             channel.send(*telemetry.banner())
-        channel.job("parameters", _parameters(channel.autopilot))
+        channel.answer_slowly("parameters", _parameters(channel.autopilot))
 
-    def _param_read(self, channel: Channel, asked: Any, now: float) -> None:
-        parameter = channel.autopilot.parameters.find(asked.param_id, asked.param_index)
+    def _param_read(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        parameter = channel.autopilot.parameters.find(request.param_id, request.param_index)
         if parameter:
             channel.send(parameter_value(channel.autopilot, parameter))
 
-    def _param_set(self, channel: Channel, asked: Any, now: float) -> None:
+    def _param_set(self, channel: VehicleChannel, request: Message, now: float) -> None:
         autopilot = channel.autopilot
-        parameter = autopilot.parameters.find(asked.param_id)
+        parameter = autopilot.parameters.find(request.param_id)
         if parameter is None:
             return
-        if autopilot.parameters.set(asked.param_id, asked.param_value) and asked.param_id.startswith("SR0_"):
-            for name in telemetry.STREAMED:
-                if telemetry.STREAMED[name][0] == asked.param_id.removeprefix("SR0_"):
+        if autopilot.parameters.set(request.param_id, request.param_value) and request.param_id.startswith("SR0_"):
+            for name, (stream, _) in telemetry.STREAMED.items():
+                if stream == request.param_id.removeprefix("SR0_"):
                     channel.reset(name, now)
         self._echo(autopilot, parameter_value(autopilot, parameter))
 
-    def _ftp(self, channel: Channel, asked: Any, now: float) -> None:
-        answers = list(channel.files.answers(_station(asked), bytes(asked.payload)))
+    def _ftp(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        answers = list(channel.file.answers(_sender(request), bytes(request.payload)))
         channel.send(*answers[:1])
         if len(answers) > 1:
-            channel.job("ftp", answers[1:])
+            channel.answer_slowly("ftp", answers[1:])
 
-    def _mission_list(self, channel: Channel, asked: Any, now: float) -> None:
-        if asked.mission_type in MISSION_TYPES:
-            channel.send(message("MISSION_COUNT", *_station(asked), 0, asked.mission_type))
+    def _mission_list(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if request.mission_type in MISSION_TYPES:
+            channel.send(
+                mavlink.MAVLink_mission_count_message(**_to_sender(request), count=0, mission_type=request.mission_type)
+            )
         else:
-            self._mission(channel, asked, MISSION_UNSUPPORTED)
+            self._mission(channel, request, mavlink.MAV_MISSION_UNSUPPORTED)
 
-    def _mission_upload(self, channel: Channel, asked: Any, now: float) -> None:
-        self._mission(channel, asked, MISSION_UNSUPPORTED)
+    def _mission_upload(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        self._mission(channel, request, mavlink.MAV_MISSION_UNSUPPORTED)
 
-    def _mission_clear(self, channel: Channel, asked: Any, now: float) -> None:
-        self._mission(channel, asked, MISSION_ACCEPTED)
+    def _mission_clear(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        self._mission(channel, request, mavlink.MAV_MISSION_ACCEPTED)
 
-    def _mission_item(self, channel: Channel, asked: Any, now: float) -> None:
-        self._mission(channel, asked, MISSION_INVALID_SEQUENCE)
+    def _mission_item(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        self._mission(channel, request, mavlink.MAV_MISSION_INVALID_SEQUENCE)
 
-    def _mission(self, channel: Channel, asked: Any, result: int) -> None:
-        known = asked.mission_type in MISSION_TYPES
+    def _mission(self, channel: VehicleChannel, request: Message, result: int) -> None:
+        known = request.mission_type in MISSION_TYPES
         channel.send(
-            message(
-                "MISSION_ACK",
-                *_station(asked),
-                result if known else MISSION_UNSUPPORTED,
-                asked.mission_type if known else 0,
+            mavlink.MAVLink_mission_ack_message(
+                **_to_sender(request),
+                type=result if known else mavlink.MAV_MISSION_UNSUPPORTED,
+                mission_type=request.mission_type if known else mavlink.MAV_MISSION_TYPE_MISSION,
             )
         )
 
-    def _timesync(self, channel: Channel, asked: Any, now: float) -> None:
-        if asked.tc1 == 0:
-            channel.send(message("TIMESYNC", time.monotonic_ns(), asked.ts1))
+    def _timesync(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if request.tc1 == 0:  # else it is an answer
+            channel.send(mavlink.MAVLink_timesync_message(tc1=time.monotonic_ns(), ts1=request.ts1))
 
-    def _log_list(self, channel: Channel, asked: Any, now: float) -> None:
-        channel.send(message("LOG_ENTRY", 0, 0, 0, 0, 0))
+    def _log_list(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        channel.send(mavlink.MAVLink_log_entry_message(id=0, num_logs=0, last_log_num=0, time_utc=0, size=0))
 
-    def _ping(self, channel: Channel, asked: Any, now: float) -> None:
-        channel.send(message("PING", asked.time_usec, asked.seq, *_station(asked)))
+    def _ping(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        channel.send(mavlink.MAVLink_ping_message(time_usec=request.time_usec, seq=request.seq, **_to_sender(request)))
 
-    def _manual_control(self, channel: Channel, asked: Any, now: float) -> None:
-        if self._is_pilot(channel, asked) and asked.target == channel.autopilot.system:
-            self._pilot(channel).manual_control(asked, now, self._tell)
+    def _manual_control(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if self._is_pilot(channel, request) and request.target == channel.autopilot.system:
+            self._pilot(channel).manual_control(request, now, self._announce)
 
-    def _override(self, channel: Channel, asked: Any, now: float) -> None:
-        if self._is_pilot(channel, asked):
-            self._pilot(channel).channels(asked, now)
+    def _override(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        if self._is_pilot(channel, request):
+            self._pilot(channel).channels(request, now)
 
-    def _set_point(self, channel: Channel, asked: Any, now: float) -> None:
-        steering.set_point(channel.autopilot, asked, now)
+    def _set_point(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        steering.set_point(channel.autopilot, request)
 
-    def _pilot(self, channel: Channel) -> steering.Pilot:
+    def _pilot(self, channel: VehicleChannel) -> steering.Pilot:
         return self._pilots.setdefault(channel.autopilot.system, steering.Pilot(channel.autopilot))
 
-    def _is_pilot(self, channel: Channel, asked: Any) -> bool:
-        return bool(asked.get_srcSystem() == channel.autopilot.parameters["SYSID_MYGCS"])
+    def _is_pilot(self, channel: VehicleChannel, request: Message) -> bool:
+        return bool(request.get_srcSystem() == channel.autopilot.parameters["SYSID_MYGCS"])
 
 
-HANDLERS: dict[str, Callable[[Conversation, Channel, Any, float], None]] = {
+HANDLERS: dict[str, Callable[[Conversation, VehicleChannel, Message, float], None]] = {
     "COMMAND_LONG": Conversation._command_long,
     "COMMAND_INT": Conversation._command_int,
     "SET_MODE": Conversation._set_mode,
@@ -167,18 +176,36 @@ HANDLERS: dict[str, Callable[[Conversation, Channel, Any, float], None]] = {
 }
 
 
-def parameter_value(autopilot: Autopilot, parameter: Parameter) -> Any:
-    """As ArduPilot does: a float of the value, whatever the type."""
-    value = parameter.value if math.isfinite(parameter.value) else 0.0
-    return message(
-        "PARAM_VALUE", parameter.name.encode(), float(value), parameter.type, len(autopilot.parameters), parameter.index
+def parameter_value(autopilot: Autopilot, parameter: AutopilotParameter) -> Message:
+    """PARAM_VALUE as ArduPilot sends it: the value as a float, whatever its type ("C-cast")."""
+    return mavlink.MAVLink_param_value_message(
+        param_id=parameter.name.encode(),
+        param_value=float(parameter.value) if math.isfinite(parameter.value) else 0.0,
+        param_type=PARAMETER_TYPES[parameter.type],
+        param_count=len(autopilot.parameters),
+        param_index=parameter.index,
     )
 
 
-def _parameters(autopilot: Autopilot) -> Iterator[Any]:
+def _parameters(autopilot: Autopilot) -> Iterator[Message]:
     for parameter in autopilot.parameters.all:
         yield parameter_value(autopilot, parameter)
 
 
-def _station(asked: Any) -> tuple[int, int]:
-    return asked.get_srcSystem(), asked.get_srcComponent()
+def _is_for(request: Message, autopilot: Autopilot) -> bool:
+    """Whether a message is for a vehicle's autopilot."""
+    if request.get_type() == "PING":
+        return bool(request.target_system == EVERYBODY)  # a PING with a target is an answer to somebody
+    system = getattr(request, "target_system", getattr(request, "target", EVERYBODY))
+    component = getattr(request, "target_component", EVERYBODY)
+    return system in (EVERYBODY, autopilot.system) and component in (EVERYBODY, AUTOPILOT)
+
+
+def _sender(request: Message) -> tuple[int, int]:
+    """System and component."""
+    return request.get_srcSystem(), request.get_srcComponent()
+
+
+def _to_sender(request: Message) -> dict[str, Any]:
+    system, component = _sender(request)
+    return {"target_system": system, "target_component": component}

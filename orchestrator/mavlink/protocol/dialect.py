@@ -1,35 +1,21 @@
-"""MAVLink's messages, as pymavlink generates them: ArduPilot's dialect."""
+"""MAVLink's messages and constants, as pymavlink generates them: ArduPilot's dialect of MAVLink 2.
+
+Importing this module raises OrchError if pymavlink is missing or too old.
+"""
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 from ...errors import OrchError
 
-AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1: ground stations make a vehicle of this component only
+__all__ = ["AUTOPILOT", "Message", "mavlink"]
 
+try:
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+    from pymavlink.dialects.v20.ardupilotmega import MAVLink_message as Message
 
-@cache
-def mavlink() -> Any:
-    """The dialect's module.  Raises OrchError where pymavlink is not installed."""
-    try:
-        from pymavlink.dialects.v20 import ardupilotmega
-    except ImportError:
-        raise OrchError('MAVLink needs pymavlink, not installed here: pip install "orch[mavlink]"') from None
-    return ardupilotmega
+    mavlink.MAV_FTP_OPCODE_ACK  # noqa: B018  # releases before 2.4.50 lack the constants of FTP
+except (ImportError, AttributeError):
+    remedy = 'pip install --upgrade "orch[mavlink]"'
+    raise OrchError(f"MAVLink needs pymavlink 2.4.50 or later, not installed here: {remedy}") from None
 
-
-def message(name: str, *fields: Any) -> Any:
-    """A message by its name, such as "HEARTBEAT"."""
-    return getattr(mavlink(), f"MAVLink_{name.lower()}_message")(*fields)
-
-
-@cache
-def known_ids() -> frozenset[int]:
-    return frozenset(mavlink().mavlink_map)
-
-
-@cache
-def id_of(name: str) -> int:
-    return int(getattr(mavlink(), f"MAVLink_{name.lower()}_message").id)
+AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1  # the only component that ground stations take for a vehicle

@@ -11,25 +11,28 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import OrchError
-from .dialect import AUTOPILOT, known_ids, mavlink
+from .dialect import AUTOPILOT, Message, mavlink
 
-MAGIC = 0xFD  # MAVLink 2; frames of MAVLink 1 are skipped like any other junk
-HEADER, CHECKSUM, SIGNATURE = 10, 2, 13  # bytes
-SIGNED = 1  # the one incompatibility flag that is defined
-EPOCH = 1_420_070_400  # s; 1 January 2015, from where signatures count
-PER_SECOND = 100_000  # of a signature's time stamps
+MAGIC: int = mavlink.PROTOCOL_MARKER_V2  # frames of MAVLink 1 are skipped like any other junk
+HEADER: int = mavlink.HEADER_LEN_V2  # bytes
+SIGNATURE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes
+SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED  # the one incompatibility flag that is defined
+CHECKSUM = 2  # bytes
+KEY = 32  # bytes
+EPOCH = 1_420_070_400  # s; 1 January 2015, when the time stamps of signatures begin
+PER_SECOND = 100_000  # of these time stamps
 
 
 def read_key(path: str) -> bytes:
-    """The secret key in a file: 32 bytes, 64 hexadecimal digits, or a passphrase, of which it is the SHA-256.
+    """The secret key in a file: 32 bytes, 64 hexadecimal digits, or a passphrase, whose SHA-256 is the key.
 
-    Raises OrchError where there is none.
+    Raises OrchError if the file cannot be read or is empty.
     """
     try:
         content = Path(path).read_bytes()
     except OSError as error:
         raise OrchError(f"--mavlink-key {path} cannot be read: {error.strerror}") from None
-    if len(content) == 32:
+    if len(content) == KEY:
         return content
     text = content.strip()
     if not text:
@@ -38,21 +41,22 @@ def read_key(path: str) -> bytes:
         key = bytes.fromhex(text.decode())
     except ValueError:
         key = b""
-    return key if len(key) == 32 else hashlib.sha256(text).digest()
+    return key if len(key) == KEY else hashlib.sha256(text).digest()
 
 
 class Decoder:
-    """Messages of one partner.  key: then only frames signed with it count."""
+    """Messages from one partner."""
 
     def __init__(self, counts: Counter[str], key: bytes | None = None):
-        self._mav = mavlink().MAVLink(None)
+        """counts: of bad frames and junk bytes.  key: if given, only frames signed with it are decoded."""
+        self._mav = mavlink.MAVLink(None)
         self._pending = bytearray()
         self._counts, self._key = counts, key
         if key:
             _sign(self._mav, key, 0)
 
-    def messages(self, data: bytes, whole: bool) -> Iterator[Any]:
-        """whole: the data are a datagram, in which no frame is cut off."""
+    def messages(self, data: bytes, whole: bool) -> Iterator[Message]:
+        """Messages in bytes that came.  whole: they are a datagram, in which no frame is cut off."""
         pending = self._pending
         pending += data
         at, end = 0, len(pending)
@@ -69,30 +73,30 @@ class Decoder:
             total = self._length(at)
             if total and end - at < total and not whole:
                 break
-            found = self._decode(pending[at : at + total]) if total and end - at >= total else None
-            if found is None:
+            message = self._decode(pending[at : at + total]) if total and end - at >= total else None
+            if message is None:
                 self._junk(1)
                 at += 1
                 continue
             at += total
-            yield found
+            yield message
         del pending[:at]
 
     def _length(self, at: int) -> int:
-        """Of the frame that may begin there; 0 where none can."""
+        """Length of the frame that may begin at a place; 0 if none can."""
         length, flags, _, _, system, _, low, middle, high = self._pending[at + 1 : at + HEADER]
-        if flags & ~SIGNED or not system or (low | middle << 8 | high << 16) not in known_ids():
+        if flags & ~SIGNED or not system or (low | middle << 8 | high << 16) not in mavlink.mavlink_map:
             return 0
         if flags & SIGNED and not self._key:
             return 0
         return HEADER + length + CHECKSUM + SIGNATURE * (flags & SIGNED)
 
-    def _decode(self, frame: bytearray) -> Any:
+    def _decode(self, frame: bytearray) -> Message | None:
         if self._key:
             self._mav.signing.timestamp = max(self._mav.signing.timestamp, _now())
         try:
             return self._mav.decode(frame)
-        except (mavlink().MAVError, ValueError, TypeError, struct.error):
+        except (mavlink.MAVError, ValueError, TypeError, struct.error):
             self._counts["bad frames"] += 1
             return None
 
@@ -105,12 +109,13 @@ class Encoder:
     """Frames of one vehicle for one partner, with a sequence of their own."""
 
     def __init__(self, system: int, key: bytes | None = None, link: int = 0):
-        self._mav = mavlink().MAVLink(None, srcSystem=system, srcComponent=AUTOPILOT)
+        """link: number of the link, in signatures."""
+        self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=AUTOPILOT)
         self._key = key
         if key:
             _sign(self._mav, key, link)
 
-    def frame(self, message: Any) -> bytes:
+    def frame(self, message: Message) -> bytes:
         if self._key:
             self._mav.signing.timestamp = max(self._mav.signing.timestamp, _now())
         packed = bytes(message.pack(self._mav))
@@ -126,5 +131,5 @@ def _sign(mav: Any, key: bytes, link: int) -> None:
 
 
 def _now() -> int:
-    """The present as signatures count it."""
+    """The present in the unit of signatures."""
     return int((time.time() - EPOCH) * PER_SECOND)

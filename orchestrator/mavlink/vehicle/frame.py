@@ -1,8 +1,8 @@
-"""Thrusters as ArduSub sees them: motor numbers, directions and PWM.
+"""Thrusters in ArduSub's terms: motor numbers, directions and PWM.
 
-ArduSub's SUB_FRAME_VECTORED (AP_Motors6DOF.cpp): each motor adds its factors times the demands; 1500 us is rest, 400 us
-to either side full command.  A vehicle numbers its thrusters as it likes: the columns of its thruster matrix say which
-motor each of them is, and whether it turns the other way.
+ArduSub's SUB_FRAME_VECTORED (libraries/AP_Motors/AP_Motors6DOF.cpp): the command of a motor is the sum of its factors
+times the demands; a pulse of 1500 us is rest, 400 us to either side full command.  A vehicle may number its thrusters
+in any order: the columns of its thruster matrix say which motor each of them is, and whether it turns the other way.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from ...errors import OrchError, did_you_mean
 from ...experiment.mavlink import PWM_MAPS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Reals
 
-    Array = NDArray[np.float64]
-
-# Of motors 1 to 6: surge, sway, heave (down), roll, pitch, yaw.  ArduSub's own factor of throttle is up-positive.
+# Of motors 1 to 6: surge, sway, heave (down), roll, pitch, yaw.  ArduSub's own factor of throttle is positive up.
 FACTORS = np.array(
     [
         [-1, +1, 0, 0, 0, +1],
@@ -33,8 +31,9 @@ FACTORS = np.array(
     dtype=np.float64,
 )
 AXES = ("X", "Y", "Z", "K", "M", "N")
-TOLERANCE = 0.01  # of an entry, of the largest of its axis: a matrix measured on a real frame is not exact
-REST, SPAN = 1500, 400  # us
+TOLERANCE = 0.01  # of an entry, relative to the largest of its axis: a matrix measured on a real frame is not exact
+REST, SPAN = 1500, 400  # us: the pulse at rest, and how far full command is from it
+DEFAULT_MAX_THRUST = 40.0  # N at full command, of a vehicle that has no parameter max_thrust; the thesis's
 
 # BlueRobotics' T200 at 16 V, from the figures of its public performance data (September 2019): dead band, and thrust at
 # either end of the range.  Between them a quadratic curve with this share of its linear part, fitted to the largest
@@ -44,21 +43,21 @@ T200_LIMITS = (-39.9, 51.4)  # N, at 1100 and 1900 us
 T200_LINEAR = 0.2
 
 
-class Frame:
-    """Which motor each thruster is: `motors[i]` is the index of thruster i's motor, `signs[i]` 1 or -1.
+class ThrusterFrame:
+    """Which motor each thruster is: `motors[i]` is the index of thruster i's motor, `signs[i]` 1 or -1."""
 
-    max_thrust: N at full command; pwm_map: a name of PWM_MAPS.
-    """
+    def __init__(self, matrix: Reals, max_thrust: float = DEFAULT_MAX_THRUST, pwm_map: str = PWM_MAPS[0]):
+        """matrix: (6, 6) thruster matrix, rows X Y Z K M N.  max_thrust: N at full command.  pwm_map: one of PWM_MAPS.
 
-    def __init__(self, matrix: Array, max_thrust: float = 40.0, pwm_map: str = "linear"):
-        """matrix: (6, 6) thruster matrix, rows X Y Z K M N.  Raises OrchError where it is no vectored frame."""
+        Raises OrchError if the matrix is not that of a vectored frame.
+        """
         if pwm_map not in PWM_MAPS:
             raise OrchError(f"no pwm_map {pwm_map!r}{did_you_mean(pwm_map, PWM_MAPS)}")
         self.motors, self.signs = _match(np.asarray(matrix, float))
         self._max_thrust, self._pwm_map = max_thrust, pwm_map
 
-    def pwm(self, u: Array, directions: Sequence[float] = (1,) * 6) -> list[int]:
-        """PWM of motors 1 to 6 [us] of the thruster commands u (6,), which are limited to -1..1.
+    def pwm(self, u: Reals, directions: Sequence[float] = (1,) * 6) -> list[int]:
+        """PWM of motors 1 to 6 [us] from the thruster commands u (6,), which are limited to -1..1.
 
         directions: MOT_1_DIRECTION to MOT_6_DIRECTION.
         """
@@ -67,13 +66,16 @@ class Frame:
             turn = sign * directions[motor]
             if self._pwm_map == "linear":
                 pulse = REST + SPAN * turn * command
-            else:  # pulses above 1500 us are the propeller's better way, whatever it is mounted to push
+            else:  # above 1500 us the propeller pushes in its stronger direction, however the thruster is mounted
                 pulse = t200_pwm(self._max_thrust * turn * command)
             pulses[motor] = round(pulse)
         return pulses
 
-    def u(self, pwm: Sequence[float], directions: Sequence[float] = (1,) * 6) -> Array:
-        """Thruster commands (6,) of the PWM of motors 1 to 6 [us]; 0 us is an output not yet in use, hence at rest."""
+    def u(self, pwm: Sequence[float], directions: Sequence[float] = (1,) * 6) -> Reals:
+        """Thruster commands (6,) from the PWM of motors 1 to 6 [us]; 0 us is an output not yet in use, hence at rest.
+
+        directions: MOT_1_DIRECTION to MOT_6_DIRECTION.
+        """
         u = np.zeros(len(self.motors))
         for thruster, (motor, sign) in enumerate(zip(self.motors, self.signs, strict=True)):
             turn = sign * directions[motor]
@@ -96,7 +98,7 @@ def t200_thrust(pwm: float) -> float:
 
 
 def t200_pwm(thrust: float) -> float:
-    """The inverse of `t200_thrust`: jumps over the dead band, and ends where the thruster does."""
+    """PWM [us] with which a T200 at 16 V gives a thrust [N]; it jumps over the dead band and saturates."""
     if thrust == 0:
         return float(REST)
     side = int(thrust > 0)
@@ -106,8 +108,8 @@ def t200_pwm(thrust: float) -> float:
     return float(edge + x * (end - edge))
 
 
-def _match(matrix: Array) -> tuple[list[int], list[int]]:
-    """Motor and sign of each column.  Raises OrchError."""
+def _match(matrix: Reals) -> tuple[list[int], list[int]]:
+    """Motor and sign of each column of the (6, 6) thruster matrix.  Raises OrchError."""
     if matrix.shape != FACTORS.shape[::-1]:
         raise OrchError(
             f"its thruster matrix is {matrix.shape[0]} x {matrix.shape[1]}, and ArduSub's vectored frame "
@@ -119,19 +121,19 @@ def _match(matrix: Array) -> tuple[list[int], list[int]]:
     motors: list[int] = []
     signs: list[int] = []
     for thruster, column in enumerate(columns):
-        found = [
+        matches = [
             (motor, sign)
             for motor, factors in enumerate(FACTORS)
             for sign in (1, -1)
             if motor not in motors and np.allclose(column, sign * factors, rtol=0, atol=TOLERANCE)
         ]
-        if not found:
+        if not matches:
             entries = zip(AXES, matrix[:, thruster], strict=True)
             pushes = ", ".join(f"{axis} {value:+.3g}" for axis, value in entries if value) or "no force"
             raise OrchError(
-                f"its thruster matrix is no vectored frame: thruster {thruster + 1} ({pushes}) is none of "
-                "the motors that ArduSub's SUB_FRAME_VECTORED has left"
+                f"its thruster matrix is not that of a vectored frame: thruster {thruster + 1} ({pushes}) is none of "
+                "the remaining motors of ArduSub's SUB_FRAME_VECTORED"
             )
-        motors.append(found[0][0])
-        signs.append(found[0][1])
+        motors.append(matches[0][0])
+        signs.append(matches[0][1])
     return motors, signs

@@ -1,4 +1,4 @@
-"""What is known of a vehicle at an instant, and what follows: velocity in NED, place on Earth, what sensors read."""
+"""The state of a vehicle at one instant, and what follows from it: velocity in NED, place on Earth, sensor readings."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Reals
 
-    Array = NDArray[np.float64]
+METRES_PER_DEGREE = 111319.49079327358  # ArduPilot's sphere (LATLON_TO_M); ground stations convert back with it
+E7 = 1e7  # MAVLink's unit of latitude and longitude is 1e-7 degrees
+G = 9.81  # m/s2, of the vehicle models
+FIELD = np.array([200.0, 0.0, 450.0])  # mGauss in NED: without declination
 
-METRES_PER_DEGREE = 111319.49079327358  # ArduPilot's sphere (LATLON_TO_M): its stations convert back with it
-G = 9.81  # m/s2
-FIELD = np.array([200.0, 0.0, 450.0])  # mGauss in NED: magnetic north is north here
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sample:
-    """A vehicle at time t [s] of the simulation.
+    """A vehicle at simulated time t [s].
 
-    eta, nu, eta_d: (6,) as everywhere (eta_d nan where nobody gives one); u: (thrusters,) commands;
-    specific_force: (3,) [m/s2] in FRD; origin: latitude and longitude of NED (0, 0, 0) [degrees].
+    eta: (6,) position in NED and zyx Euler angles [m, rad].  nu: (6,) velocity in BODY [m/s, rad/s].  u: (thrusters,)
+    commands in -1..1.  specific_force: (3,) [m/s2] in FRD.  eta_d: (6,) desired eta, nan if the vehicle is given none.
+    origin: latitude and longitude of NED (0, 0, 0) [degrees].
     """
 
     t: float
-    eta: Array
-    nu: Array
-    u: Array
-    specific_force: Array
-    eta_d: Array
+    eta: Reals
+    nu: Reals
+    u: Reals
+    specific_force: Reals
+    eta_d: Reals
     origin: tuple[float, float]
 
     @cached_property
-    def rotation(self) -> Array:
-        """R of v_NED = R v_body (zyx Euler angles)."""
+    def rotation(self) -> Reals:
+        """R, (3, 3), of v_NED = R v_BODY."""
         return rotation(*map(float, self.eta[3:]))
 
     @cached_property
-    def velocity(self) -> Array:
+    def velocity(self) -> Reals:
         """(3,) in NED [m/s]."""
-        product: Array = self.rotation @ self.nu[:3]
-        return product
+        velocity: Reals = self.rotation @ self.nu[:3]
+        return velocity
 
     @cached_property
     def place(self) -> tuple[int, int]:
@@ -53,6 +53,7 @@ class Sample:
 
     @property
     def milliseconds(self) -> int:
+        """t as an uint32."""
         return round(self.t * 1e3) & 0xFFFFFFFF
 
     @property
@@ -61,23 +62,24 @@ class Sample:
 
     @property
     def depth(self) -> float:
+        """z [m], positive down."""
         return float(self.eta[2])
 
     @property
     def heading(self) -> float:
-        """Degrees, [0, 360)."""
+        """psi in [0, 360) degrees."""
         degrees = math.degrees(float(self.eta[5])) % 360.0
         return degrees if degrees < 360.0 else 0.0
 
     @cached_property
-    def field(self) -> Array:
-        """What a magnetometer reads, (3,) [mGauss] in FRD."""
-        product: Array = self.rotation.T @ FIELD
-        return product
+    def field(self) -> Reals:
+        """Reading of a magnetometer, (3,) [mGauss] in FRD."""
+        field: Reals = self.rotation.T @ FIELD
+        return field
 
 
-def rotation(phi: float, theta: float, psi: float) -> Array:
-    """R = R_z(psi) R_y(theta) R_x(phi), (3, 3)."""
+def rotation(phi: float, theta: float, psi: float) -> Reals:
+    """R = R_z(psi) R_y(theta) R_x(phi), (3, 3), BODY to NED.  phi, theta, psi: zyx Euler angles [rad]."""
     (cx, cy, cz), (sx, sy, sz) = (list(map(f, (phi, theta, psi))) for f in (math.cos, math.sin))
     return np.array(
         [
@@ -88,31 +90,31 @@ def rotation(phi: float, theta: float, psi: float) -> Array:
     )
 
 
-def gravity_alone(eta: Array) -> Array:
-    """The specific force of a body that does not accelerate, (3,) [m/s2]."""
-    product: Array = rotation(*map(float, eta[3:])).T @ np.array([0.0, 0.0, -G])
-    return product
+def gravity_alone(eta: Reals) -> Reals:
+    """The specific force of a body that does not accelerate, (3,) [m/s2] in FRD.  eta: (6,) [m, rad]."""
+    force: Reals = rotation(*map(float, eta[3:])).T @ np.array([0.0, 0.0, -G])
+    return force
 
 
 def to_earth(origin: tuple[float, float], north: float, east: float) -> tuple[int, int]:
-    """Latitude and longitude [1e-7 degrees] of a point [m]."""
+    """Latitude and longitude [1e-7 degrees] of a point north and east of the origin [m].  origin: [degrees]."""
     latitude = origin[0] + north / METRES_PER_DEGREE
     longitude = origin[1] + east / (METRES_PER_DEGREE * math.cos(math.radians(origin[0])))
     longitude = (longitude + 180.0) % 360.0 - 180.0
-    return within(latitude * 1e7, 900_000_000), within(longitude * 1e7, 1_800_000_000)
+    return within(latitude * E7, 900_000_000), within(longitude * E7, 1_800_000_000)
 
 
 def to_ned(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """North and east [m] of a point [degrees]."""
+    """How far north and east of the origin a point lies [m].  origin, latitude, longitude: [degrees]."""
     east = (longitude - origin[1] + 180.0) % 360.0 - 180.0
     return (latitude - origin[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * math.cos(math.radians(origin[0]))
 
 
 def wrapped(angle: float) -> float:
-    """Into (-pi, pi]."""
+    """An angle [rad] in [-pi, pi]."""
     return math.remainder(angle, 2 * math.pi)
 
 
 def within(value: float, limit: int) -> int:
-    """Rounded, and kept within -limit..limit; 0 for what is no number."""
+    """A value rounded and limited to -limit..limit; 0 if it is not finite."""
     return max(-limit, min(limit, round(value))) if math.isfinite(value) else 0

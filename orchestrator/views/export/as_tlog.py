@@ -10,13 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ...errors import OrchError, StoreError
-from ...experiment import mavlink, reader
+from ...experiment import reader
 from ...experiment.mavlink import MavlinkSpec
-from ...mavlink.tlog import Track
+from ...mavlink.tlog import LoggedVehicle
 from ...mavlink.tlog import write as write_log
-from ...mavlink.vehicle.autopilot import MODES, Autopilot
-from ...mavlink.vehicle.frame import Frame
-from ...mavlink.vehicle.parameters import Parameters
+from ...mavlink.vehicle.autopilot import Autopilot, FlightMode
+from ...mavlink.vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame
+from ...mavlink.vehicle.parameters import AutopilotParameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
 from ...names import ETA_AXES, NU_AXES
 from ...records.compare.vehicles import Vehicle, vehicles
@@ -33,21 +33,20 @@ def write(content: Content, target: Path) -> None:
     if not found:
         raise StoreError(f"{run.path} records no vehicle: no component with eta.x to eta.psi")
     facts = run.attributes
-    read = reader.parse(
+    spec = reader.parse(
         Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
-    )
-    spec, _ = mavlink.read(read.mavlink, [component.name for component in read.components])
+    ).mavlink_spec
     spec = spec.showing(name for name in found if _has(run, name, "nu", NU_AXES))
     missing = [name for name in spec.vehicles if name not in found or not _has(run, name, "nu", NU_AXES)]
     if missing or not spec.vehicles:
         lacking = " and ".join(f"{name}.nu" for name in missing or found)
         raise StoreError(f"{run.path} does not record {lacking}, which telemetry needs: record it and run again")
-    tracks = [_track(content, found[name], system, spec) for name, system in spec.vehicles.items()]
+    logged = [_logged(content, found[name], system, spec) for name, system in spec.vehicles.items()]
     with target.open("wb") as file:
-        write_log(tracks, file)
+        write_log(logged, file)
 
 
-def _track(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) -> Track:
+def _logged(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) -> LoggedVehicle:
     run, name, n = content.run, vehicle.name, len(content.time)
     eta = np.column_stack([vehicle.eta[axis] for axis in ETA_AXES])
     nu = np.column_stack([run[f"{name}.nu.{axis}"] for axis in NU_AXES])
@@ -59,16 +58,29 @@ def _track(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) -
     eta_d = np.column_stack([vehicle.eta_d[axis] for axis in ETA_AXES]) if guided else np.full((n, 6), np.nan)
 
     def sample(row: int) -> Sample:
-        specific_force = gravity_alone(eta[row]) if force is None else force[row]
-        return Sample(float(content.time[row]), eta[row], nu[row], u[row], specific_force, eta_d[row], spec.origin)
+        return Sample(
+            t=float(content.time[row]),
+            eta=eta[row],
+            nu=nu[row],
+            u=u[row],
+            specific_force=gravity_alone(eta[row]) if force is None else force[row],
+            eta_d=eta_d[row],
+            origin=spec.origin,
+        )
 
     frame, own = _frame(run, name, spec.pwm_map)
-    mode = MODES["GUIDED" if guided else "MANUAL"]
-    parameters = Parameters(system, spec.rates, own)
-    return Track(Autopilot(system, name, parameters, spec.origin, frame, mode=mode), content.time, sample)
+    autopilot = Autopilot(
+        system=system,
+        component=name,
+        parameters=AutopilotParameters(system, spec.rates, own),
+        origin=spec.origin,
+        frame=frame,
+        mode=FlightMode.GUIDED if guided else FlightMode.MANUAL,
+    )
+    return LoggedVehicle(autopilot=autopilot, times=content.time, sample=sample)
 
 
-def _frame(run: Run, component: str, pwm_map: str) -> tuple[Frame | None, dict[str, float]]:
+def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None, dict[str, float]]:
     calculated: dict[str, Any] = json.loads(run.file[component].attrs.get("calculated", "{}"))
     entries = {name: value for name, value in calculated.items() if name.startswith("T[") and "," in name}
     if not entries:
@@ -77,9 +89,9 @@ def _frame(run: Run, component: str, pwm_map: str) -> tuple[Frame | None, dict[s
     T = np.zeros(np.array(list(places.values())).max(axis=0) + 1)
     for name, value in entries.items():
         T[places[name]] = value
-    thrust = _parameter(run, component, "max_thrust", 40.0)
+    thrust = _parameter(run, component, "max_thrust", DEFAULT_MAX_THRUST)
     try:
-        return Frame(T, thrust, pwm_map), {"SIM_MAX_THRUST": thrust}
+        return ThrusterFrame(T, thrust, pwm_map), {"SIM_MAX_THRUST": thrust}
     except OrchError as error:
         raise StoreError(f"{run.path}: {component}: {error}") from None
 

@@ -1,0 +1,30 @@
+"""Declarations of the variables of components that run inside orch; all of them are reals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from ...fmu.variables import Variable
+from ...names import ETA_AXES, NU_AXES
+
+ETA_UNITS = dict(zip(ETA_AXES, ("m", "m", "m", "rad", "rad", "rad"), strict=True))  # {axis: unit}
+NU_UNITS = dict(zip(NU_AXES, ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s"), strict=True))
+
+
+def scalar(name: str, causality: str, unit: str, description: str, **more: Any) -> Variable:
+    """A variable.  more: further fields of Variable.  An input without a start value starts at 0."""
+    start = {"start": 0.0} if causality == "input" else {}
+    fields = {"name": name, "causality": causality, "unit": unit, "description": description}
+    return Variable(reference=0, type="Real", kind="real", **(start | fields | more))
+
+
+def vector(name: str, causality: str, units: Mapping[str, str], description: str, **more: Any) -> list[Variable]:
+    """A variable for each axis.  units: {axis: unit}."""
+    return [scalar(f"{name}.{axis}", causality, unit, description, **more) for axis, unit in units.items()]
+
+
+def numbered(variables: Iterable[Variable]) -> tuple[Variable, ...]:
+    """The variables of a component, in order: references count from 0."""
+    return tuple(replace(variable, reference=reference) for reference, variable in enumerate(variables))

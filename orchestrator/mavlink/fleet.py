@@ -1,0 +1,102 @@
+"""The vehicles of a plan as autopilots: which are shown, with which thrusters, origin, parameters and mode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import ExperimentError, OrchError, Problem, did_you_mean
+from ..experiment.mavlink import MavlinkSpec
+from ..plan.plan import Component, Plan
+from ..simulation.initialization import initialize
+from ..simulation.system import System
+from .protocol.links import Endpoint
+from .vehicle.autopilot import Autopilot, FlightMode
+from .vehicle.control import Control
+from .vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame
+from .vehicle.parameters import AutopilotParameters
+from .view import is_guided
+
+
+def spec_of(plan: Plan) -> MavlinkSpec:
+    """The [mavlink] of a plan, with the system ids of the vehicles that are shown.
+
+    Raises ExperimentError if no component is a vehicle.
+    """
+    vehicles = [component.name for component in plan.components if component.is_vehicle]
+    spec = plan.experiment.mavlink_spec.showing(vehicles)
+    if not spec.vehicles:
+        what = "no component is a vehicle: none puts out eta.x to eta.psi and nu.u to nu.r"
+        raise ExperimentError(plan.experiment.path, [Problem("mavlink", what)])
+    return spec
+
+
+def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpoint] = ()) -> list[Autopilot]:
+    """The vehicles of a plan as autopilots.
+
+    controls: {component of a vehicle: where its steering goes}.  endpoints: those that show one vehicle only.  Raises
+    OrchError if a vehicle cannot be shown as ArduSub, or if there is none for an endpoint.
+    """
+    spec = spec_of(plan)
+    for endpoint in endpoints:
+        if endpoint.system not in spec.vehicles.values():
+            known = [str(system) for system in spec.vehicles.values()]
+            raise OrchError(
+                f"--mavlink {endpoint.text}: no vehicle has the system id {endpoint.system}"
+                f"{did_you_mean(str(endpoint.system), known, 'ids')}"
+            )
+    components = {component.name: component for component in plan.components}
+    return [
+        _autopilot(plan, components[name], system, spec, controls.get(name)) for name, system in spec.vehicles.items()
+    ]
+
+
+def _autopilot(plan: Plan, component: Component, system: int, spec: MavlinkSpec, control: Control | None) -> Autopilot:
+    frame, max_thrust = frame_of(plan, component, spec.pwm_map)
+    own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
+    if control:
+        mode = FlightMode.POSHOLD
+    else:
+        mode = FlightMode.GUIDED if is_guided(plan, component.name) else FlightMode.MANUAL
+    autopilot = Autopilot(
+        system=system,
+        component=component.name,
+        parameters=AutopilotParameters(system, spec.rates, own),
+        origin=spec.origin,
+        frame=frame,
+        control=control,
+        mode=mode,
+    )
+    if control:
+        control.armed, control.guided = autopilot.armed, False
+    return autopilot
+
+
+def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[ThrusterFrame | None, float | None]:
+    """The vehicle's frame and the largest thrust of a thruster [N]; None for a vehicle without a thruster matrix.
+
+    Raises OrchError if ArduSub has no such frame.
+    """
+    entries = {axis: v for axis, v in component.fmu.lookup("T").items() if v.kind == "real" and "," in axis}
+    if not entries:
+        return None, None
+    thrust = component.fmu.variables.get("max_thrust")
+    read = [*entries.values(), *([thrust] if thrust else [])]
+    alone = replace(
+        plan, components=(component,), connections=(), recorded=tuple((component.name, v) for v in read), watched=()
+    )
+    with System.open(alone) as system:
+        initialize(system)  # a matrix that is calculated is known only then
+        table = system.tables["real"].copy()
+        places = {v.name: system.places[component.name, v.name] for v in read}
+    indices = {tuple(int(i) - 1 for i in axis.split(",")): v for axis, v in entries.items()}
+    T = np.zeros(np.array(list(indices)).max(axis=0) + 1)
+    for index, variable in indices.items():
+        T[index] = table[places[variable.name]]
+    max_thrust = float(table[places["max_thrust"]]) if thrust else DEFAULT_MAX_THRUST
+    try:
+        return ThrusterFrame(T, max_thrust, pwm_map), max_thrust
+    except OrchError as error:
+        raise OrchError(f"mavlink.vehicles.{component.name}: {error}") from None
