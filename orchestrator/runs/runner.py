@@ -18,12 +18,12 @@ from ..errors import RunError, StoreError
 from ..plan.plan import Plan
 from ..records.file.access import UNREADABLE, being_written, is_taken
 from ..records.file.format import ID_LENGTH
-from ..records.file.recorder import Recorder
+from ..records.file.recorder import writing
 from ..records.file.run import Run
 from ..records.store.folder import Store
 from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
-from ..simulation.observer import Observer, Outcome, interruptible
+from ..simulation.observer import Observer, interruptible
 from ..simulation.system import Context, System
 from .checkpoint.file import Checkpoint
 from .checkpoint.observer import CheckpointObserver, paths_of, ticks_of
@@ -31,7 +31,7 @@ from .checkpoint.resume import resume
 from .prepare import prepare
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result:
     """What `orch run` has to say."""
 
@@ -99,59 +99,34 @@ def execute(
     if output is None and not force and _status(final) == "completed":
         return _recall(run_id, final, plan)
     _refuse_second_writer(final)
-    values: Mapping[str, float] = {}
     with interruptible() as interrupt, System.open(plan, interrupt.is_set, context) as system:
         # An earlier record stays until the new one is completed.
         path = _beside(final) if final.exists() else final
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
         if output is None and not force and _status(final) == "completed":
             return _recall(run_id, final, plan)
-        recorder, saver = Recorder(path, plan, run_id), CheckpointObserver(system, run_id, due)
-        try:
+        saver = CheckpointObserver(system, run_id, due)
+        with writing(path, plan, run_id) as record:
             begin = partial(resume, plan.origin) if isinstance(plan.origin, Checkpoint) else initialize
-            outcome = run_master(system, [recorder, *observers, saver], interrupt, begin)
-            outcome.warnings += saver.warnings()
-            recorder.flush()
-            wall_time, factor = recorder.finish(outcome)
-            if outcome.status == "completed":
-                values = metrics.evaluate(Run(path, recorder.file), plan.experiment.metrics)
-            recorder.close(outcome.status, values)
-        except StoreError as error:
-            ticks, values = recorder.ticks, {}
-            outcome = Outcome(
-                status="failed", ticks=ticks, error=str(error), failed_at=plan.experiment.grid.time(ticks)
-            )
-            wall_time, factor = _give_up(recorder, outcome)
-        except BaseException:
-            recorder.abandon()
-            raise
+            record.outcome = run_master(system, [record, *observers, saver], interrupt, begin)
+            record.outcome.warnings += saver.warnings()
+    outcome = record.outcome
     if outcome.status == "completed" and path != final:
         os.replace(path, final)
         path = final
     return Result(
-        run_id,
-        path,
-        outcome.status,
-        wall_time,
-        factor,
-        values,
-        outcome.warnings,
-        outcome.error,
-        outcome.stopped_at,
+        run_id=run_id,
+        file=path,
+        status=outcome.status,
+        wall_time=record.wall_time,
+        real_time_factor=record.real_time_factor,
+        metrics=record.metrics,
+        warnings=outcome.warnings,
+        error=outcome.error,
+        stopped_at=outcome.stopped_at,
         checkpoints=saver.saved,
         last_inputs=outcome.last_inputs,
     )
-
-
-def _give_up(recorder: Recorder, outcome: Outcome) -> tuple[float, float]:
-    """Close a record that could not be written further.  Raises RunError where not even that is possible."""
-    try:
-        times = recorder.finish(outcome)
-        recorder.close(outcome.status)
-    except StoreError:
-        recorder.abandon()
-        raise RunError(f"{outcome.error}; the record holds the rows written before, and no word of the end") from None
-    return times
 
 
 def _place(plan: Plan, output: str | Path | None, results: str | Path) -> tuple[str, Path]:
@@ -178,15 +153,15 @@ def _recall(run_id: str, path: Path, plan: Plan) -> Result:
     with Run(path) as record:
         attributes = record.attributes
         return Result(
-            run_id,
-            path,
-            record.status,
-            attributes["wall_time"],
-            attributes["real_time_factor"],
-            metrics.evaluate(record, plan.experiment.metrics),
-            record.warnings,
-            attributes["error"],
-            attributes.get("stopped_at"),
+            run_id=run_id,
+            file=path,
+            status=record.status,
+            wall_time=attributes["wall_time"],
+            real_time_factor=attributes["real_time_factor"],
+            metrics=metrics.evaluate(record, plan.experiment.metrics),
+            warnings=record.warnings,
+            error=attributes["error"],
+            stopped_at=attributes.get("stopped_at"),
             repeated=False,
         )
 

@@ -1,28 +1,26 @@
-"""The datasets of a record before its first row.  Runs that are alike share them: they are made once, in memory."""
+"""The datasets of a record before its first row.  They are made once, in memory, for all runs that are alike."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import h5py
 import numpy as np
 
 from ...fmu.variables import DTYPES, Variable
 from ...plan.plan import Plan
-from .hdf5 import attach, create, describe, image_of, new_in_memory
+from .hdf5 import attach_scales, create_attributes, create_dataset, image_of, list_references, new_in_memory
 
 CHUNK_ROWS = 1024
-REFERENCE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.int32)])
-STORED = {"boolean": np.int8, "truth": np.int8, "string": h5py.string_dtype()}  # the others as they are
+STORED = {"boolean": np.int8, "truth": np.int8, "string": h5py.string_dtype()}  # the other kinds as they are
 
 
-@dataclass(frozen=True)
-class Signal:
-    """A dataset to be: of a variable, or of an array that is recorded whole.  shape: of one row."""
+@dataclass(frozen=True, kw_only=True)
+class DatasetSpec:
+    """A dataset to create, of a variable or of an array that is recorded whole.  shape: of one row."""
 
     component: str
     name: str
@@ -46,20 +44,28 @@ class Signal:
         return max(1, min(rows, CHUNK_ROWS // max(1, self.width))), *self.shape
 
 
-TIME = Signal("", "time", "real", (), "s", "simulated time", "independent")
+TIME = DatasetSpec(
+    component="",
+    name="time",
+    kind="real",
+    shape=(),
+    units="s",
+    long_name="simulated time",
+    causality="independent",
+)
 
 
-def signals_of(plan: Plan) -> tuple[Signal, ...]:
+def datasets_of(plan: Plan) -> tuple[DatasetSpec, ...]:
     """What a run records, in the order of the columns of its blocks."""
     return tuple(
-        Signal(
-            component,
-            name := variable.array if shape else variable.name,
-            variable.kind,
-            shape,
-            variable.unit or "1",
-            variable.description or name,
-            variable.causality,
+        DatasetSpec(
+            component=component,
+            name=(name := variable.array if shape else variable.name),
+            kind=variable.kind,
+            shape=shape,
+            units=variable.unit or "1",
+            long_name=variable.description or name,
+            causality=variable.causality,
         )
         for component, variable, shape in _variables(plan)
     )
@@ -77,59 +83,50 @@ def _variables(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
 
 
 @functools.lru_cache(maxsize=8)
-def image(components: tuple[str, ...], signals: tuple[Signal, ...], rows: int) -> bytes:
-    """An HDF5 file of one group a component, with time and signals of at most `rows`, all without a row."""
+def image(components: tuple[str, ...], specs: tuple[DatasetSpec, ...], rows: int) -> bytes:
+    """An HDF5 file with a group for each component, the time and the datasets for at most `rows`, all without a row."""
     with new_in_memory() as file:
-        time = _dataset(file, TIME, rows)
+        time = _create(file, TIME, rows)
         time.make_scale("time")
-        describe(time, {"units": TIME.units, "long_name": TIME.long_name})
+        create_attributes(time, {"units": TIME.units, "long_name": TIME.long_name})
         for component in components:
             file.create_group(component, track_order=True)
-        references = []
-        for signal in signals:
-            dataset = _add(file[signal.component], signal, rows, time)
-            references.append((dataset.ref, 0))
-        if references:  # the other half of attach_scale, for all signals at once
-            time.attrs.create("REFERENCE_LIST", np.array(references, dtype=REFERENCE))
+        datasets = [_add(file[spec.component], spec, rows, time) for spec in specs]
+        if datasets:
+            list_references(time, datasets, axis=0)
         return image_of(file)
 
 
-def _add(group: Any, signal: Signal, rows: int, time: Any) -> Any:
-    name, dataset = signal.name, _dataset(group, signal, rows)
-    describe(dataset, {"units": signal.units, "long_name": signal.long_name, "causality": signal.causality})
-    scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(signal.shape, 1)]
+def _add(group: h5py.Group, spec: DatasetSpec, rows: int, time: h5py.Dataset) -> h5py.Dataset:
+    name, dataset = spec.name, _create(group, spec, rows)
+    attributes = {"units": spec.units, "long_name": spec.long_name, "causality": spec.causality}
+    create_attributes(dataset, attributes)
+    scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(spec.shape, 1)]
     for i, scale in enumerate(scales, 1):
         scale.make_scale(f"{name}_dim{i}")
-        scale.attrs.create("REFERENCE_LIST", np.array([(dataset.ref, i)], dtype=REFERENCE))
+        list_references(scale, [dataset], axis=i)
     attach_scales(dataset, [time, *scales])
     return dataset
 
 
-def _dataset(group: Any, signal: Signal, rows: int) -> Any:
-    """Empty, for at most `rows`.
+def _create(group: h5py.Group, spec: DatasetSpec, rows: int) -> h5py.Dataset:
+    """Create an empty dataset for at most `rows`.
 
-    Bounded, for h5netcdf looks through all signals to learn the length of an unlimited dimension: minutes for 500.
-    It had a row, so that the index of its chunks is there: a kill can come between an index and who points to it.
+    It is bounded, as h5netcdf looks through all signals to find the length of an unlimited dimension, which takes
+    minutes for 500 of them; netCDF's C library does the same (https://github.com/Unidata/netcdf-c/pull/1709).  It had a
+    row, so that the index of its chunks exists: a kill can come between an index and what points to it.
     """
-    dtype = np.dtype(STORED.get(signal.kind, DTYPES[signal.kind]))
-    dataset = create(
+    dtype = np.dtype(STORED.get(spec.kind, DTYPES[spec.kind]))
+    dataset = create_dataset(
         group,
-        signal.name,
-        shape=(1, *signal.shape),
-        maxshape=(rows, *signal.shape),
+        spec.name,
+        shape=(1, *spec.shape),
+        maxshape=(rows, *spec.shape),
         dtype=dtype,
-        chunks=signal.chunk(rows),
+        chunks=spec.chunk(rows),
         fletcher32=h5py.check_string_dtype(dtype) is None,
         track_order=True,
     )
     dataset[0] = b"" if dtype.kind == "O" else 0
-    dataset.id.set_extent((0, *signal.shape))
+    dataset.id.set_extent((0, *spec.shape))
     return dataset
-
-
-def attach_scales(dataset: Any, scales: Sequence[Any]) -> None:
-    """Write DIMENSION_LIST directly: h5py's attach_scale takes quadratic time in the number of signals."""
-    value = np.empty((len(scales),), dtype=object)
-    for i, scale in enumerate(scales):
-        value[i] = np.array([scale.ref], dtype=h5py.ref_dtype)
-    attach(dataset, "DIMENSION_LIST", value, h5py.vlen_dtype(h5py.ref_dtype))

@@ -1,17 +1,10 @@
-"""Writes the record of a run: one HDF5 file, written while the run goes on.  The format is described in docs/record.md.
-
-HDF5 does not survive a write that fails: the file no longer opens, the process may crash.  So room on the disk is
-reserved before anything is written, and a little of it is always left for saying why a run ended.
-"""
+"""Writes the record of a run: one HDF5 file, written while the run goes on.  docs/record.md describes the format."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import math
-import os
-import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,57 +13,81 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ...errors import StoreError
+from ... import metrics
+from ...arrays import Signals
+from ...errors import RunError, StoreError
 from ...fmu.variables import DTYPES
-from ...metrics import finite
 from ...plan.plan import Plan
 from ...simulation.observer import Block, Observer, Outcome
 from ...warning import kinds_of
-from .access import being_written, first_line, patiently
-from .datasets import TIME, Signal, attach_scales, image, signals_of
+from .datasets import TIME, DatasetSpec, datasets_of, image
 from .format import HEARD
-from .hdf5 import LIBVER, describe, image_of, in_memory, restate
+from .hdf5 import attach_scales, create_attributes, image_of, in_memory, overwrite_attributes, write_rows
 from .provenance import attributes_of
+from .room import ReservedFile
+from .run import Run
 
 FLUSH_SECONDS = 1.0
-ROOM = 1 << 16  # bytes kept free in the file for its last attributes
-SIGNATURE = 8  # bytes
-STATED_END = 40  # place of the end-of-file address, 8 bytes, in a superblock of version 0
-STATES = hasattr(os, "pwrite")  # not on Windows, where HDF5 would miss its place in the file
-HEADER = 1 << 12  # bytes that a signal takes without its values, and a node of its index, at most
+HEADER = 1 << 12  # bytes that a dataset takes without its values, and a node of its index, at most
+
+
+@contextlib.contextmanager
+def writing(
+    path: Path,
+    plan: Plan,
+    run_id: str,
+    *,
+    facts: Mapping[str, Any] | None = None,
+    signals: Signals | None = None,
+) -> Iterator[Recorder]:
+    """The record of a run, from its first byte to its status: the one way from a plan to a record.
+
+    The body runs the plan, with the recorder among its observers, and leaves how it ended in `recorder.outcome`.  Then
+    the rows that wait are written, how the run ended, the metrics of a completed run, and last its status.  A record
+    that cannot be written any further (StoreError) makes the run a failed one, and says so.
+
+    facts: root attributes that are known already, in place of those that would be determined here.  signals: what the
+    metrics are evaluated on, if the record keeps too few rows for that.
+
+    Raises StoreError where the file exists or cannot be created, and RunError where not even the end of the run can be
+    written.  After any other exception, what was flushed stays readable.
+    """
+    recorder = Recorder(path, plan, run_id, facts or {})
+    try:
+        try:
+            yield recorder
+            recorder.finish(signals)
+        except StoreError as error:
+            recorder.give_up(error)
+    except BaseException:
+        recorder.abandon()
+        raise
 
 
 class Recorder(Observer):
-    """Writes a record.  Rows reach the disk at least every second of wall time, a time only when its row is there.
+    """Writes the rows that it sees.  They reach the disk at least every second of wall time, a time only after its row.
+    See `writing`.
 
-    Raises StoreError where the file is there already or cannot be written.
+    When the record is finished, `outcome`, `wall_time` [s], `real_time_factor` and `metrics` are those in it.
     """
 
-    def __init__(self, path: Path, plan: Plan, run_id: str, facts: Mapping[str, Any] | None = None):
-        """facts: root attributes that are known already, in place of those that would be found out."""
+    def __init__(self, path: Path, plan: Plan, run_id: str, facts: Mapping[str, Any]):
         self.path, self._plan = path, plan
+        self.outcome = Outcome(status="running", ticks=plan.first)
+        self.wall_time = self.real_time_factor = math.nan
+        self.metrics: Mapping[str, float] = {}
         self._waiting: list[Block] = []
-        self._rows = 0
-        self.ticks = plan.first  # of the last row on disk
-        attributes = attributes_of(plan, run_id, facts or {})
-        signals, self._most = signals_of(plan), plan.steps // plan.stride + 1
-        with in_memory(image(tuple(component.name for component in plan.components), signals, self._most)) as file:
-            _describe(file, plan, attributes)
+        self._rows, self._tick = 0, plan.first  # on disk, and of the last one of them
+        specs, self._most = datasets_of(plan), plan.steps // plan.stride + 1
+        with in_memory(image(tuple(component.name for component in plan.components), specs, self._most)) as file:
+            _describe(file, plan, attributes_of(plan, run_id, facts))
             content = image_of(file)
-        _claim(path, content)
-        self._end = len(content)
-        try:
-            self.file = patiently(lambda: h5py.File(path, "r+", libver=LIBVER))
-            with self._writing():
-                _reserve(self.file.id.get_vfd_handle(), path, self._end + ROOM)
-            self._datasets = {s: h5py.h5d.open(self.file.id, s.path.encode()) for s in (TIME, *signals)}
-            self._signals: dict[str, list[Signal]] = {}  # by kind, in the order of a block's columns
-            for signal in signals:
-                self._signals.setdefault(signal.kind, []).append(signal)
-        except BaseException:
-            self.abandon()
-            path.unlink(missing_ok=True)
-            raise
+        self._reserved = ReservedFile(path, content)
+        self._file = self._reserved.file
+        self._datasets = {s: h5py.h5d.open(self._file.id, s.path.encode()) for s in (TIME, *specs)}
+        self._specs: dict[str, list[DatasetSpec]] = {}  # by kind, in the order of a block's columns
+        for spec in specs:
+            self._specs.setdefault(spec.kind, []).append(spec)
         self._began = self._flushed = time.monotonic()
 
     def rows(self, block: Block) -> None:
@@ -85,61 +102,89 @@ class Recorder(Observer):
             self.flush()  # now: a paced run still has time
 
     def flush(self) -> None:
-        """Write what is waiting: first every signal, then, when those are on disk, the times."""
+        """Write the rows that wait: first every signal, then, when those are on disk, the times."""
         blocks, self._waiting = self._waiting, []
         self._flushed = time.monotonic()
         if not blocks:
             return
         ticks = [tick for block in blocks for tick in block.ticks]
         first, last = self._rows, self._rows + len(ticks)
-        with self._room(self._size(self._datasets, last, blocks)):
-            for kind, signals in self._signals.items():
+        with self._reserved.writing(self._size(self._datasets, last, blocks)):
+            for kind, specs in self._specs.items():
                 rows = np.concatenate([block.values[kind] for block in blocks])
                 columns, column = np.ascontiguousarray(rows.T), 0
-                for signal in signals:
-                    self._append(signal, first, columns[column : column + signal.width])
-                    column += signal.width
+                for spec in specs:
+                    values = columns[column : column + spec.width]
+                    rows_of = np.ascontiguousarray(values.T).reshape(-1, *spec.shape) if spec.shape else values[0]
+                    write_rows(self._datasets[spec], first, rows_of)
+                    column += spec.width
         times = self._plan.experiment.grid.times(ticks[0], ticks[-1] + 1)
-        with self._room(self._size([TIME], last)):
-            self._append(TIME, first, times[np.array(ticks) - ticks[0]][np.newaxis])
-        self._rows, self.ticks = last, ticks[-1]
+        with self._reserved.writing(self._size([TIME], last)):
+            write_rows(self._datasets[TIME], first, times[np.array(ticks) - ticks[0]])
+        self._rows, self._tick = last, ticks[-1]
 
-    def finish(self, outcome: Outcome) -> tuple[float, float]:
-        """Write how the run ended; the file stays open for metrics.  Returns wall time [s] and real-time factor."""
-        wall_time = time.monotonic() - self._began
-        grid = self._plan.experiment.grid
+    def finish(self, signals: Signals | None) -> None:
+        """Write the rows that wait, how the run ended, and its metrics; the status is written last."""
+        self.flush()
+        self._conclude()
+        if self.outcome.status == "completed":
+            self.metrics = metrics.evaluate(signals or Run(self.path, self._file), self._plan.experiment.metrics)
+        self._close()
+
+    def give_up(self, error: StoreError) -> None:
+        """Close a record that could not be written further, as that of a failed run.
+
+        Raises RunError where not even that is possible.
+        """
+        failed_at = self._plan.experiment.grid.time(self._tick)
+        self.outcome = Outcome(status="failed", ticks=self._tick, error=str(error), failed_at=failed_at)
+        self.metrics = {}
+        try:
+            self._conclude()
+            self._close()
+        except StoreError:
+            words = "the record holds the rows written before, and does not say how the run ended"
+            raise RunError(f"{error}; {words}") from None
+
+    def abandon(self) -> None:
+        """Let go of a file that can no longer be written; what was flushed stays readable."""
+        self._reserved.abandon()
+
+    def _conclude(self) -> None:
+        """Write how the run ended."""
+        outcome, grid = self.outcome, self._plan.experiment.grid
+        self.wall_time = time.monotonic() - self._began
         simulated = grid.time(outcome.ticks) - grid.time(self._plan.first)
-        factor = simulated / wall_time if wall_time else math.inf
+        self.real_time_factor = simulated / self.wall_time if self.wall_time else math.inf
         known: dict[str, str | float] = {
             "error": outcome.error,
-            "wall_time": wall_time,
-            "real_time_factor": factor,
+            "wall_time": self.wall_time,
+            "real_time_factor": self.real_time_factor,
             "warnings": json.dumps(outcome.warnings),
             "warning_kinds": json.dumps(kinds_of(outcome.warnings)),
             "timing": json.dumps(outcome.timing),
         }
-        attributes: dict[str, Any] = {}
+        new: dict[str, Any] = {}
         calculated = {component: json.dumps(values) for component, values in outcome.calculated.items()}
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
-                attributes[name] = getattr(outcome, name)
+                new[name] = getattr(outcome, name)
         if outcome.last_inputs:
-            attributes["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
+            new["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
         heard = sum(16 + values.nbytes for values_of in outcome.heard.values() for _, values in values_of)
-        texts = [*map(str, (*known.values(), *attributes.values())), *calculated.values()]
-        with self._room(2 * sum(map(len, texts)) + HEADER * (1 + len(calculated)) + 2 * heard):
-            restate(self.file, known)
-            describe(self.file, attributes)
+        texts = [*map(str, (*known.values(), *new.values())), *calculated.values()]
+        with self._reserved.writing(2 * sum(map(len, texts)) + HEADER * (1 + len(calculated)) + 2 * heard):
+            overwrite_attributes(self._file, known)
+            create_attributes(self._file, new)
             for component, text in calculated.items():
-                restate(self.file[component], {"calculated": text})
-            self._keep_heard(outcome)
-        return wall_time, factor
+                overwrite_attributes(self._file[component], {"calculated": text})
+            self._write_heard()
 
-    def _keep_heard(self, outcome: Outcome) -> None:
-        """What components heard from outside, wherever it changed."""
-        for component, heard in outcome.heard.items():
+    def _write_heard(self) -> None:
+        """Write what components heard from outside, at each change."""
+        for component, heard in self.outcome.heard.items():
             if heard:
-                group = self.file.create_group(f"{HEARD}/{component}")
+                group = self._file.create_group(f"{HEARD}/{component}")
                 times = group.create_dataset("time", data=np.array([t for t, _ in heard]), fletcher32=True)
                 times.make_scale("time")
                 values = group.create_dataset("values", data=np.array([values for _, values in heard]), fletcher32=True)
@@ -147,80 +192,27 @@ class Recorder(Observer):
                 axis.make_scale("values_dim1")
                 attach_scales(values, [times, axis])
 
-    def close(self, status: str, metrics: Mapping[str, float] | None = None) -> None:
-        """The last thing written is the status."""
-        text = json.dumps(finite(metrics or {}))
-        with self._room(len(text) if metrics else 0):
-            restate(self.file, {"metrics": text})
-        with self._room(0):
-            restate(self.file, {"status": status})
-        with self._writing():
-            self.file.close()
-            with self.path.open("r+b") as file:
-                file.seek(STATED_END)
-                file.truncate(int.from_bytes(file.read(8), "little"))
+    def _close(self) -> None:
+        text = json.dumps(metrics.finite(self.metrics))
+        with self._reserved.writing(len(text) if self.metrics else 0):
+            overwrite_attributes(self._file, {"metrics": text})
+        with self._reserved.writing(0):
+            overwrite_attributes(self._file, {"status": self.outcome.status})
+        self._reserved.close()
 
-    def abandon(self) -> None:
-        """Let go of a file that can no longer be written; what was flushed stays readable."""
-        with contextlib.suppress(Exception):
-            self.file.close()
-
-    @contextlib.contextmanager
-    def _room(self, size: int) -> Iterator[None]:
-        """Reserve room on the disk for `size` bytes and ROOM more, write, flush; ROOM stays.
-
-        Beyond the end that the file states nothing can be read, and HDF5 states it last of all.  The end of the room is
-        stated first, so that a kill in the middle of a flush costs nothing.
-        """
-        with self._writing():
-            descriptor = self.file.id.get_vfd_handle()
-            if size:
-                _reserve(descriptor, self.path, self._end + size + ROOM)
-            stated = os.fstat(descriptor).st_size
-            _state_end(descriptor, stated)
-            yield
-            self.file.flush()
-            end = _stated_end(descriptor) if STATES else self.file.id.get_filesize()
-            self._end = end if end != stated else self._end  # HDF5 states it where it has changed
-            _state_end(descriptor, self._end)
-            if size:
-                os.ftruncate(descriptor, self._end + ROOM)
-
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except (OSError, RuntimeError) as error:  # h5py: RuntimeError from a failed flush
-            raise _cannot_write(self.path, error) from None
-
-    def _size(self, signals: Iterable[Signal], last: int, blocks: Sequence[Block] = ()) -> int:
+    def _size(self, specs: Iterable[DatasetSpec], last: int, blocks: Sequence[Block] = ()) -> int:
         """How many bytes the rows up to `last` take at most: new chunks, their places in the index, texts."""
-        values = 0
-        for signal in signals:
-            chunk = signal.chunk(self._most)
+        size = 0
+        for spec in specs:
+            chunk = spec.chunk(self._most)
             chunks = -(-last // chunk[0]) - -(-self._rows // chunk[0])
-            values += chunks * (math.prod(chunk) * np.dtype(DTYPES[signal.kind]).itemsize + HEADER)
+            size += chunks * (math.prod(chunk) * np.dtype(DTYPES[spec.kind]).itemsize + HEADER)
         texts = [text for block in blocks if "string" in block.values for text in block.values["string"].flat]
-        return values + sum(len(text) + 32 for text in texts)
-
-    def _append(self, signal: Signal, first: int, columns: Any) -> None:
-        """Write rows from `first` on, to the new end.  columns: (values of a row, rows)."""
-        dataset, shape = self._datasets[signal], (columns.shape[1], *signal.shape)
-        values = columns[0] if not signal.shape else np.ascontiguousarray(columns.T).reshape(shape)
-        dataset.set_extent((first + shape[0], *signal.shape))
-        if values.dtype.kind == "O":
-            h5py.Dataset(dataset)[first:] = values
-            return
-        if values.dtype.kind == "b":  # HDF5 turns no truth into a number
-            values = values.view(np.int8)
-        # What h5py's dataset[first:] does, in a third of the time.
-        space = dataset.get_space()
-        space.select_hyperslab((first,) + (0,) * len(signal.shape), shape)
-        dataset.write(h5py.h5s.create_simple(shape), space, values)
+        return size + sum(len(text) + 32 for text in texts)
 
 
 def _describe(file: h5py.File, plan: Plan, attributes: Mapping[str, Any]) -> None:
-    describe(file, attributes)
+    create_attributes(file, attributes)
     for component in plan.components:
         facts = {
             "fmu": component.fmu_name,
@@ -231,60 +223,4 @@ def _describe(file: h5py.File, plan: Plan, attributes: Mapping[str, Any]) -> Non
         }
         if any(v.causality == "calculatedParameter" for v in component.fmu.variables.values()):
             facts["calculated"] = "{}"
-        describe(file[component.name], facts)
-
-
-def _claim(path: Path, content: bytes) -> None:
-    """Create the file, which no one else may have, where there is ROOM after the content.  Raises StoreError.
-
-    HDF5's signature, the first bytes, is written last: until then it is no record for anybody.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            file = path.open("xb")
-        except FileExistsError:
-            raise being_written(path) from None
-        try:
-            with file:
-                _reserve(file.fileno(), path, len(content) + ROOM)
-                file.seek(SIGNATURE)
-                file.write(content[SIGNATURE:])
-                file.seek(0)
-                file.write(content[:SIGNATURE])
-                file.truncate(len(content))  # HDF5 would do that, and later
-        except OSError:
-            path.unlink()
-            raise
-    except OSError as error:
-        raise _cannot_write(path, error) from None
-
-
-def _reserve(descriptor: int, path: Path, size: int) -> None:
-    """Make the file `size` bytes long, with blocks behind them.  Raises OSError where the disk is full."""
-    if hasattr(os, "posix_fallocate"):
-        try:
-            os.posix_fallocate(descriptor, 0, size)
-            return
-        except OSError as error:
-            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # not every file system can
-                raise
-    if shutil.disk_usage(path.parent).free < size - os.fstat(descriptor).st_size:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    os.ftruncate(descriptor, size)
-
-
-def _stated_end(descriptor: int) -> int:
-    """Where a file ends by its superblock."""
-    return int.from_bytes(os.pread(descriptor, 8, STATED_END), "little")
-
-
-def _state_end(descriptor: int, end: int) -> None:
-    if STATES:
-        os.pwrite(descriptor, end.to_bytes(8, "little"), STATED_END)
-
-
-def _cannot_write(path: Path, error: BaseException) -> StoreError:
-    number = getattr(error, "errno", None)
-    reason = os.strerror(number) if number else first_line(error)
-    return StoreError(f"{path} cannot be written: {reason}")
+        create_attributes(file[component.name], facts)

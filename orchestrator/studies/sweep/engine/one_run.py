@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from .... import metrics
 from ....plan.plan import Plan
 from ....records.file.format import ID_LENGTH
-from ....records.file.recorder import Recorder
+from ....records.file.recorder import Recorder, writing
 from ....simulation.master import run as run_master
 from ....simulation.observer import Block, Interrupt, Observer
 from ....simulation.system import Shelf, System
@@ -36,28 +35,20 @@ def perform(
     """Run a plan into a record at `path`.
 
     keep: "full"; "decimated", with every n-th row; or "metrics", without rows.  Metrics are those of all rows.
-    Raises OrchError where nothing started, or the record cannot be written.
+    A record that cannot be written any further makes the run a failed one.  Raises OrchError where nothing started.
     """
     rows = Rows(plan)
     kept = reduced(plan, keep)
     known = {**facts, "digest": plan.digest, "experiment_resolved": json.dumps(plan.resolved)}
     if keep != "full":
         known["kept"] = keep
-    values: Mapping[str, float] = {}
-    with System.open(plan, interrupt.is_set, shelf=shelf) as system:
-        recorder = Recorder(path, kept, plan.digest[:ID_LENGTH], known)
-        try:
-            writing: list[Observer] = [] if keep == "metrics" else [_Sieve(recorder, plan, kept)]
-            outcome = run_master(system, [rows, *writing], interrupt)
-            recorder.flush()
-            recorder.finish(outcome)
-            if outcome.status == "completed":
-                values = metrics.evaluate(rows, plan.experiment.metrics)
-            recorder.close(outcome.status, values)
-        except BaseException:
-            recorder.abandon()
-            raise
-    return Performed(outcome.status, outcome.error, values)
+    with (
+        System.open(plan, interrupt.is_set, shelf=shelf) as system,
+        writing(path, kept, plan.digest[:ID_LENGTH], facts=known, signals=rows) as record,
+    ):
+        writers: list[Observer] = [] if keep == "metrics" else [_Sieve(record, plan, kept)]
+        record.outcome = run_master(system, [rows, *writers], interrupt)
+    return Performed(record.outcome.status, record.outcome.error, record.metrics)
 
 
 def reduced(plan: Plan, keep: str) -> Plan:
