@@ -308,6 +308,23 @@ def test_ctrl_c_while_fmus_are_loaded_ends_without_a_crash(start, spiral, tmp_pa
     assert not list((tmp_path / "tmp").iterdir())
 
 
+def test_the_next_run_removes_what_a_killed_one_has_unpacked_and_leaves_a_living_one_alone(start, models, tmp_path):
+    temporary = tmp_path / "tmp"
+    killed = start(single("moody", stop_time=100.0, pause=0.01))
+    poll(lambda: list(tmp_path.glob("results/*/*.h5")), killed)
+    killed.kill()
+    killed.wait(DEADLINE)
+    (left,) = temporary.iterdir()
+    living = start(single("moody", stop_time=100.0, pause=0.02))
+    poll(lambda: len(list(tmp_path.glob("results/*/*.h5"))) == 2, living)
+    (own,) = temporary.iterdir()
+    assert own != left
+    assert start(single("clock", stop_time=0.01)).wait(DEADLINE) == 0
+    assert list(temporary.iterdir()) == [own]
+    interrupt(living)
+    assert not list(temporary.iterdir())
+
+
 def test_ctrl_c_during_the_build_starts_nothing(start, spiral, tmp_path):
     process = start(spiral, ORCH_BUILD=str(tmp_path / "fresh"))
     assert process.stderr.readline().startswith("building")

@@ -17,6 +17,8 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from ....errors import OrchError, StoreError
 from ....records.file.provenance import git_commit
 from ....simulation.observer import Interrupt, interruptible
@@ -28,7 +30,7 @@ from .worker import FAILED, PointResult
 
 BATCH_SECONDS = 1.0  # of wall time that a batch lasts
 AHEAD = 2  # batches a worker has: one that runs, one that waits
-LOCK = ".lock"
+LOCK, OWNER = ".lock", ".owner"  # files in the folder; OWNER holds the id of the process that has the lock
 
 RunsEnded = Callable[[int, int, int, float], None]  # runs that ended, of how many, failed ones, wall time [s]
 
@@ -173,20 +175,12 @@ def locked(storage: Storage) -> Iterator[None]:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = (folder / LOCK).open("a+")
+        lock = FileLock(folder / LOCK).acquire(timeout=0)
+    except Timeout:
+        owner = (folder / OWNER).read_text() if (folder / OWNER).exists() else "?"
+        raise StoreError(f"{folder}: process {owner} runs this sweep; wait for it") from None
     except OSError as error:
         raise StoreError(f"{folder} cannot be written: {error.strerror}") from None
-    with file:
-        try:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # Windows: Dask's local processes, and no second sweep by mistake
-            pass
-        except OSError:
-            file.seek(0)
-            raise StoreError(f"{folder}: process {file.read().strip()} runs this sweep; wait for it") from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+    with lock:
+        (folder / OWNER).write_text(str(os.getpid()))
         yield
