@@ -31,7 +31,7 @@ class Origin(Protocol):
         """What the record of the run says of it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Component:
     """A component ready to be instantiated."""
 
@@ -80,7 +80,7 @@ class Connection:
         return names if self.factor == 1.0 and self.offset == 0.0 else [*names, self.factor, self.offset]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
     table of values, too, for an observer."""

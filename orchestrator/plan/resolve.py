@@ -1,6 +1,6 @@
 """From an experiment and its FMUs to a plan: every name resolved, every value checked, nothing loaded.
 
-`resolve` gathers all problems of the file and its FMUs and raises once.
+Each function returns what it makes of the experiment, and the problems that it meets; `resolve` raises all at once.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import datetime
 import fnmatch
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,11 @@ from ..fmu.values import flatten
 from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
 from ..models import catalogue
 from ..names import matches
-from .conversion import between
-from .plan import Component, Connection, Plan
+from .connections import Fmus, connect, dropped_sinks, undriven
+from .plan import Component, Plan
 
 Reader = Callable[..., Fmu]
+Signal = tuple[str, Variable]  # a component, and a variable of it
 
 
 def resolve(
@@ -37,286 +38,245 @@ def resolve(
     built: {model: its FMU}; unbuilt: {model: why it cannot be built}; reader: in place of `fmu.read`.  Raises
     ExperimentError with every problem.
     """
-    return _Resolver(experiment, built, unbuilt, reader).plan()
-
-
-class _Resolver:
-    def __init__(self, experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader):
-        self.experiment, self.built, self.unbuilt, self.read = experiment, built, unbuilt, reader
-        self.problems = list(experiment.problems)
-        self.notes = list(experiment.notes)
-        self.fmus: dict[str, Fmu] = {}  # by component
-        self.isolated: dict[str, str] = {}  # components that run in processes of their own, and why
-        self.broken: set[str] = set()  # inputs whose connection or start value is a problem
-        self.components = {c.name: c for c in experiment.components}
-
-    def plan(self) -> Plan:
-        self.read_fmus()
-        self.isolate()
-        components = [self.component(c) for c in self.experiment.components if c.name in self.fmus]
-        connections = self.connections()
-        driven: dict[str, set[str]] = {component.name: set() for component in components}
-        for connection in connections:
-            driven[connection.sink].add(connection.input.name)
-        for component in components:
-            self.unconnected(component, driven[component.name])
-        recorded = self.recorded()
-        self.check_metrics(recorded)
-        self.check_vehicles(components)
-        if self.problems:
-            raise ExperimentError(self.experiment.path, self.problems)
-        now = datetime.datetime.now(datetime.UTC).isoformat() if any(component.live for component in components) else ""
-        return Plan(self.experiment, tuple(components), tuple(connections), tuple(recorded), tuple(self.notes), now)
-
-    def problem(self, key: str, sentence: str) -> None:
-        self.problems.append(Problem(key, sentence))
-
-    def read_fmus(self) -> None:
-        files: dict[tuple[Path, str], Fmu] = {}
-        for component in self.experiment.components:
-            if component.builtin:
-                try:
-                    self.fmus[component.name] = builtin.describe(component.builtin)
-                except FmuError as error:
-                    self.problem(f"components.{component.name}.builtin", str(error))
-            if not component.fmu:
-                continue
-            try:
-                if component.fmu in self.unbuilt:
-                    raise FmuError(self.unbuilt[component.fmu])
-                path = catalogue.locate(component.fmu, self.experiment.path.resolve().parent, self.built)
-                fmu = files.get((path, "")) or self.read(path)
-                files[path, ""] = fmu
-                structure = {
-                    n: v
-                    for n, v in component.parameters.items()
-                    if n in fmu.variables and fmu.variables[n].causality == "structuralParameter" and type(v) is int
-                }
-                key = path, repr(structure or "")
-                files[key] = files.get(key) or (self.read(path, structure) if structure else fmu)
-                self.fmus[component.name] = files[key]
-            except FmuError as error:
-                self.problem(f"components.{component.name}.fmu", str(error))
-
-    def isolate(self) -> None:
-        """Decide which components run in processes of their own.
-
-        Python FMUs share one interpreter, where a module name may mean one thing only; and some FMUs can be
-        instantiated only once in a process.
-        """
-        owner: dict[str, str] = {}
-        loaded: set[Path] = set()
-        for component in self.experiment.components:
-            name, fmu = component.name, self.fmus.get(component.name)
-            if fmu is None or component.builtin:
-                continue
-            if component.isolation == "process" or component.timeout is not None:
-                self.isolated[name] = "as the experiment says"
-                continue
-            reason = f"{fmu.path.name} can be instantiated only once in a process" * (
-                fmu.once_per_process and fmu.path in loaded
-            )
-            for module, digest in fmu.python_modules.items():
-                if owner.get(module, digest) != digest:
-                    reason = f"another Python FMU has a different module {module!r}, and one process can hold only one"
-            if reason and component.isolation == "none":
-                self.problem(f"components.{name}.isolation", f'is "none", but {reason}; leave it out')
-            elif reason:
-                self.isolated[name] = reason
-                self.notes.append(f"{name} runs in a process of its own: {reason}")
-            else:
-                owner |= {module: digest for module, digest in fmu.python_modules.items() if module not in owner}
-                loaded.add(fmu.path)
-
-    def component(self, component: ComponentSpec) -> Component:
-        fmu = self.fmus[component.name]
-        parameters = self.values(component, "parameters", component.parameters)
-        seed = fmu.variables.get("seed")
-        if (
-            self.experiment.master.seed is not None
-            and seed is not None
-            and "seed" not in parameters
-            and seed.causality == "parameter"
-            and seed.kind in WHOLE
-        ):
-            text = f"{self.experiment.master.seed}/{component.name}"
-            bits = min(32, np.iinfo(DTYPES[seed.kind]).bits)
-            number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-            parameters["seed"] = number >> (33 - bits)
-        start: dict[str, Any] = {}
-        if isinstance(component.start, Mapping):
-            table = dict(component.start)
-            if component.swapped:
-                for name in [n for n in table if not fmu.lookup(n)]:
-                    self.notes.append(f"{component.name}: dropped start.{name}, which {fmu.model_name} lacks")
-                    del table[name]
-            start = self.values(component, "start", table)
-        grid = self.experiment.grid
-        period = grid.ticks(component.step) if component.step is not None else 1
-        return Component(
-            component.name,
-            component.fmu or component.builtin,
-            fmu,
-            period or 1,
-            parameters,
-            start,
-            component.name in self.isolated,
-            bool(component.builtin),
-            component.timeout,
+    fmus, fmu_problems = _read_fmus(experiment, built, unbuilt, reader)
+    reasons, isolation_problems = _isolate(experiment, fmus)
+    components, value_problems = _components(experiment, fmus, reasons.keys())
+    connections, connection_problems = connect(experiment, fmus)
+    driven: dict[str, set[str]] = {component.name: set() for component in components}
+    for connection in connections:
+        driven[connection.sink].add(connection.input.name)
+    accepting = {c.name for c in experiment.components if c.start == "fmu"}
+    judged = _judged(experiment, value_problems)
+    input_problems = [
+        problem
+        for component in components
+        for problem in undriven(
+            component, component.name in accepting, driven[component.name], judged.get(component.name, set())
         )
+    ]
+    recorded, record_problems = _recorded(experiment, fmus)
+    problems = [
+        *experiment.problems,
+        *fmu_problems,
+        *isolation_problems,
+        *value_problems,
+        *connection_problems,
+        *input_problems,
+        *record_problems,
+        *_metric_problems(experiment, fmus, recorded),
+        *_vehicle_problems(experiment, components),
+    ]
+    if problems:
+        raise ExperimentError(experiment.path, problems)
+    live = any(component.live for component in components)
+    return Plan(
+        experiment=experiment,
+        components=tuple(components),
+        connections=tuple(connections),
+        recorded=tuple(recorded),
+        notes=(*experiment.notes, *_notes(experiment, fmus, reasons)),
+        created=datetime.datetime.now(datetime.UTC).isoformat() if live else "",
+    )
 
-    def values(self, component: ComponentSpec, section: str, table: Mapping[str, Any]) -> dict[str, Any]:
-        """{FMI variable: value} of a component's table `parameters` or `start`."""
-        causalities = ("parameter", "structuralParameter") if section == "parameters" else ("input",)
-        values, problems = flatten(self.fmus[component.name], causalities, table)
-        for name, sentence in problems:
-            self.problem(f"components.{component.name}.{section}.{name}", sentence)
-            if section == "start":
-                self.broken.add(f"{component.name}.{name}")
-        return values
 
-    def connections(self) -> list[Connection]:
-        connections: list[Connection] = []
-        driver: dict[tuple[str, str], str] = {}
-        for sink, connection in self.experiment.connections.items():
-            key, source = f'connections."{sink}"', connection.source
-            to, origin = self.end(sink, "input", key), self.end(source, "output", key)
-            if to is None or origin is None:
-                self.broken.add(sink)
-                continue
-            (sink_component, inputs), (source_component, outputs) = to, origin
-            pairs = self.pairs(inputs, outputs, key, sink, source)
-            if not pairs:
-                self.broken.add(sink)
-            for input, output in pairs:
-                other = driver.setdefault((sink_component, input.name), source)
-                if other != source:
-                    self.problem(key, f"{input.name} has two drivers: {other} and {source}; keep one")
-                    break
-                try:
-                    units = self.fmus[source_component].units, self.fmus[sink_component].units
-                    factor, offset = between(connection, output, input, *units)
-                except ValueError as error:
-                    self.problem(key, str(error))
-                    break
-                connections.append(Connection(sink_component, input, source_component, output, factor, offset))
-        return connections
+def _read_fmus(
+    experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader
+) -> tuple[dict[str, Fmu], list[Problem]]:
+    """The FMU of each component, or a builtin described as one; each file is read once for each structure."""
+    fmus: dict[str, Fmu] = {}
+    problems: list[Problem] = []
+    files: dict[tuple[Path, str], Fmu] = {}
 
-    def end(self, name: str, causality: str, key: str) -> tuple[str, dict[str, Variable]] | None:
-        """The component and variables of one end of a connection."""
-        component, _, variable = name.partition(".")
-        if component not in self.components:
-            self.problem(key, f"no component {component!r}{did_you_mean(component, self.components)}")
-            return None
-        if component not in self.fmus:
-            return None  # its FMU is a problem of its own
-        fmu = self.fmus[component]
-        found = fmu.lookup(variable)
-        choices = [f"{component}.{n}" for n in fmu.names(causality)]
-        if found and all(v.causality == causality for v in found.values()):
-            return component, found
-        if found:
-            is_a = next(iter(found.values())).causality
-            self.problem(
-                key,
-                f"{name!r} is {_article(is_a)}, not {_article(causality)}"
-                f"{did_you_mean(name, choices, f'{component} has')}",
-            )
-        elif causality == "input" and self.components[component].swapped:
-            self.notes.append(f"{component}: dropped the connection into {variable}, which {fmu.model_name} lacks")
+    def read_once(path: Path, structure: Mapping[str, int]) -> Fmu:
+        key = path, repr(structure)
+        if key not in files:
+            files[key] = reader(path, structure) if structure else reader(path)
+        return files[key]
+
+    for component in experiment.components:
+        if component.builtin:
+            try:
+                fmus[component.name] = builtin.describe(component.builtin)
+            except FmuError as error:
+                problems.append(Problem(f"components.{component.name}.builtin", str(error)))
+        if not component.fmu:
+            continue
+        try:
+            if component.fmu in unbuilt:
+                raise FmuError(unbuilt[component.fmu])
+            path = catalogue.locate(component.fmu, experiment.path.resolve().parent, built)
+            variables = read_once(path, {}).variables
+            structure = {
+                name: value
+                for name, value in component.parameters.items()
+                if name in variables and variables[name].causality == "structuralParameter" and type(value) is int
+            }
+            fmus[component.name] = read_once(path, structure)
+        except FmuError as error:
+            problems.append(Problem(f"components.{component.name}.fmu", str(error)))
+    return fmus, problems
+
+
+def _isolate(experiment: Experiment, fmus: Fmus) -> tuple[dict[str, str], list[Problem]]:
+    """Which components run in processes of their own, and why: "" where the experiment says so.
+
+    Python FMUs share one interpreter, where a module name may mean one thing only; and some FMUs can be instantiated
+    only once in a process.
+    """
+    reasons: dict[str, str] = {}
+    problems: list[Problem] = []
+    owners: dict[str, str] = {}  # {module: its digest}
+    loaded: set[Path] = set()
+    for component in experiment.components:
+        name, fmu = component.name, fmus.get(component.name)
+        if fmu is None or component.builtin:
+            continue
+        if component.isolation == "process" or component.timeout is not None:
+            reasons[name] = ""
+            continue
+        reason = ""
+        if fmu.once_per_process and fmu.path in loaded:
+            reason = f"{fmu.path.name} can be instantiated only once in a process"
+        for module, digest in fmu.python_modules.items():
+            if owners.get(module, digest) != digest:
+                reason = f"another Python FMU has a different module {module!r}, and one process can hold only one"
+        if reason and component.isolation == "none":
+            problems.append(Problem(f"components.{name}.isolation", f'is "none", but {reason}; leave it out'))
+        elif reason:
+            reasons[name] = reason
         else:
-            near = did_you_mean(name, choices, f"{component} has")
-            self.problem(key, f"no {causality} {name!r}{near}")
-        return None
+            owners = {**fmu.python_modules, **owners}
+            loaded.add(fmu.path)
+    return reasons, problems
 
-    def pairs(
-        self, inputs: dict[str, Variable], outputs: dict[str, Variable], key: str, sink: str, source: str
-    ) -> list[tuple[Variable, Variable]]:
-        """Input and output of each axis: by name, or by number where one side is numbered."""
-        if set(inputs) == set(outputs) or len(inputs) == len(outputs) == 1:
-            pairs = [(inputs[axis], outputs[axis if axis in outputs else next(iter(outputs))]) for axis in inputs]
-        elif len(inputs) != len(outputs):
-            self.problem(key, f"{sink} has {_axes(inputs)}, {source} has {_axes(outputs)}")
-            return []
-        elif all(a.isdigit() for a in inputs) or all(a.isdigit() for a in outputs):
-            pairs = list(zip(inputs.values(), outputs.values(), strict=True))
-        else:
-            self.problem(
-                key,
-                f"the axes differ: {sink} has {_axes(inputs)}, {source} has {_axes(outputs)}; connect them one by one",
+
+def _components(experiment: Experiment, fmus: Fmus, isolated: Set[str]) -> tuple[list[Component], list[Problem]]:
+    """The components whose FMUs could be read, with the values of their parameters and free inputs."""
+    components: list[Component] = []
+    problems: list[Problem] = []
+    for spec in experiment.components:
+        if spec.name not in fmus:
+            continue
+        fmu, key = fmus[spec.name], f"components.{spec.name}"
+        parameters, wrong = flatten(fmu, ("parameter", "structuralParameter"), spec.parameters)
+        problems += [Problem(f"{key}.parameters.{name}", sentence) for name, sentence in wrong]
+        dropped = _dropped_starts(spec, fmu)
+        table = {} if isinstance(spec.start, str) else {n: v for n, v in spec.start.items() if n not in dropped}
+        start, wrong = flatten(fmu, ("input",), table)
+        problems += [Problem(f"{key}.start.{name}", sentence) for name, sentence in wrong]
+        period = experiment.grid.ticks(spec.step) if spec.step is not None else 1
+        components.append(
+            Component(
+                name=spec.name,
+                fmu_name=spec.fmu or spec.builtin,
+                fmu=fmu,
+                period=period or 1,
+                parameters=parameters | _seed(experiment.master.seed, spec.name, fmu, parameters),
+                start=start,
+                isolated=spec.name in isolated,
+                live=bool(spec.builtin),
+                timeout=spec.timeout,
             )
-            return []
-        return pairs
+        )
+    return components, problems
 
-    def unconnected(self, component: Component, driven: set[str]) -> None:
-        key = f"components.{component.name}"
-        for name in component.start:
-            if name in driven:
-                self.problem(f"{key}.start.{name}", "is connected; a start value would be overwritten at once")
-        if self.components[component.name].start == "fmu":
-            return
-        # An input that is a problem already is not reported a second time.
-        known = driven | set(component.start) | {sink.removeprefix(component.name + ".") for sink in self.broken}
-        for name in component.fmu.names("input"):
-            missing = [axis for axis, v in component.fmu.lookup(name).items() if v.name not in known]
-            if missing and name not in known:
-                whole = len(missing) == len(component.fmu.lookup(name))
-                what = repr(name) if whole else f"{name!r} ({', '.join(missing)})"
-                self.problem(
-                    key,
-                    f"nothing drives its input {what}; connect it, give it a value in {key}.start, "
-                    'or accept the FMU\'s own with start = "fmu"',
-                )
 
-    def recorded(self) -> list[tuple[str, Variable]]:
-        record = self.experiment.record
-        wanted = ("output", "input", "local") if record.inputs else ("output",)
-        choices = [
-            (name, variable)
-            for name, fmu in self.fmus.items()
-            for variable in fmu.variables.values()
-            if variable.causality in wanted and variable.kind != "binary"
+def _seed(seed: int | None, component: str, fmu: Fmu, parameters: Mapping[str, Any]) -> dict[str, int]:
+    """The parameter `seed` of a component that has one and is given none: drawn from the master's and its name."""
+    variable = fmu.variables.get("seed")
+    if seed is None or variable is None or "seed" in parameters:
+        return {}
+    if variable.causality != "parameter" or variable.kind not in WHOLE:
+        return {}
+    bits = min(32, np.iinfo(DTYPES[variable.kind]).bits)
+    number = int.from_bytes(hashlib.sha256(f"{seed}/{component}".encode()).digest()[:4], "big")
+    return {"seed": number >> (33 - bits)}
+
+
+def _dropped_starts(spec: ComponentSpec, fmu: Fmu) -> list[str]:
+    """Start values of inputs that the FMU which --swap puts in place lacks."""
+    if not spec.swapped or isinstance(spec.start, str):
+        return []
+    return [name for name in spec.start if not fmu.lookup(name)]
+
+
+def _judged(experiment: Experiment, problems: Sequence[Problem]) -> dict[str, set[str]]:
+    """By component: the inputs that have a connection in the file, or a start value that is a problem."""
+    judged: dict[str, set[str]] = {}
+    for sink in experiment.connections:
+        component, _, input = sink.partition(".")
+        judged.setdefault(component, set()).add(input)
+    for problem in problems:
+        section, component, table, *name = problem.key.split(".", 3)
+        if (section, table) == ("components", "start"):
+            judged.setdefault(component, set()).update(name)
+    return judged
+
+
+def _recorded(experiment: Experiment, fmus: Fmus) -> tuple[list[Signal], list[Problem]]:
+    """The signals that [record] names, in the order of the components and of their FMUs."""
+    record = experiment.record
+    wanted = ("output", "input", "local") if record.inputs else ("output",)
+    choices = {
+        f"{component}.{variable.name}": (component, variable)
+        for component, fmu in fmus.items()
+        for variable in fmu.variables.values()
+        if variable.causality in wanted and variable.kind != "binary"
+    }
+    include = [p for p in record.signals if not p.startswith("!")] or ["*"] * bool(record.signals)
+    exclude = [p[1:] for p in record.signals if p.startswith("!")]
+    vectors = dict.fromkeys(name.rpartition(".")[0] for name in choices)
+    problems = [
+        Problem("record.signals", f"{pattern!r} matches nothing{did_you_mean(pattern, vectors)}")
+        for pattern in include
+        if _is_known(pattern, experiment, fmus) and not any(matches(name, pattern) for name in choices)
+    ]
+    recorded = [
+        signal
+        for name, signal in choices.items()
+        if any(matches(name, p) for p in include) and not any(matches(name, p) for p in exclude)
+    ]
+    return recorded, problems
+
+
+def _metric_problems(experiment: Experiment, fmus: Fmus, recorded: Sequence[Signal]) -> list[Problem]:
+    units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind in NUMBERS}
+    problems = []
+    for name, spec in experiment.metrics.items():
+        key = f"metrics.{name}"
+        ends = [end for end in ("signal", "reference") if end in spec and not _is_known(spec[end], experiment, fmus)]
+        unknown = {f"{key}.{end}" for end in ends}
+        problems += [problem for problem in metrics.problems(key, spec, units) if problem.key not in unknown]
+    return problems
+
+
+def _vehicle_problems(experiment: Experiment, components: Sequence[Component]) -> list[Problem]:
+    vehicles = [component.name for component in components if component.is_vehicle]
+    shown = experiment.mavlink_spec.vehicles
+    others = [component.name for component in components if component.name in shown and not component.is_vehicle]
+    near = {name: did_you_mean(name, vehicles, "vehicles") for name in others}
+    return [
+        Problem(f"mavlink.vehicles.{name}", f"{name!r} is no vehicle: it does not put out eta and nu{near[name]}")
+        for name in others
+    ]
+
+
+def _is_known(signal: Any, experiment: Experiment, fmus: Fmus) -> bool:
+    """Whether it is known which signals there are of that name: not where its FMU could not be read."""
+    component = str(signal).partition(".")[0]
+    unread = [c.name for c in experiment.components if c.name not in fmus]
+    return not any(fnmatch.fnmatchcase(name, component) for name in unread)
+
+
+def _notes(experiment: Experiment, fmus: Fmus, reasons: Mapping[str, str]) -> list[str]:
+    """What runs otherwise than the file says, or than one expects."""
+    notes = [f"{name} runs in a process of its own: {reason}" for name, reason in reasons.items() if reason]
+    for spec in experiment.components:
+        fmu = fmus[spec.name]
+        notes += [
+            f"{spec.name}: dropped start.{name}, which {fmu.model_name} lacks" for name in _dropped_starts(spec, fmu)
         ]
-        include = [p for p in record.signals if not p.startswith("!")] or ["*"] * bool(record.signals)
-        exclude = [p[1:] for p in record.signals if p.startswith("!")]
-        full = [f"{component}.{variable.name}" for component, variable in choices]
-        for pattern in include:
-            if self.judges(pattern) and not any(matches(name, pattern) for name in full):
-                vectors = dict.fromkeys(name.rpartition(".")[0] for name in full)
-                self.problem("record.signals", f"{pattern!r} matches nothing{did_you_mean(pattern, vectors)}")
-        return [
-            choice
-            for choice, name in zip(choices, full, strict=True)
-            if any(matches(name, p) for p in include) and not any(matches(name, p) for p in exclude)
-        ]
-
-    def check_metrics(self, recorded: list[tuple[str, Variable]]) -> None:
-        units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind in NUMBERS}
-        for name, spec in self.experiment.metrics.items():
-            ends = [end for end in ("signal", "reference") if end in spec and not self.judges(spec[end])]
-            found = metrics.problems(f"metrics.{name}", spec, units)
-            self.problems += [p for p in found if p.key not in {f"metrics.{name}.{end}" for end in ends}]
-
-    def check_vehicles(self, components: list[Component]) -> None:
-        vehicles = [component.name for component in components if component.is_vehicle]
-        for name in self.experiment.mavlink_spec.vehicles:
-            if name in self.fmus and name not in vehicles:
-                near = did_you_mean(name, vehicles, "vehicles")
-                self.problem(
-                    f"mavlink.vehicles.{name}", f"{name!r} is no vehicle: it does not put out eta and nu{near}"
-                )
-
-    def judges(self, signal: Any) -> bool:
-        """Whether it is known which signals there are of that name: not where its FMU cannot be read."""
-        component = str(signal).partition(".")[0]
-        return not any(fnmatch.fnmatchcase(name, component) for name in self.components if name not in self.fmus)
-
-
-def _article(causality: str) -> str:
-    return f"an {causality}" if causality[0] in "aeiou" else f"a {causality}"
-
-
-def _axes(variables: Mapping[str, Variable]) -> str:
-    if set(variables) == {""}:
-        return "one value"
-    return f"{len(variables)} axes ({' '.join(variables)})"
+    for sink in dropped_sinks(experiment, fmus):
+        component, _, input = sink.partition(".")
+        notes.append(f"{component}: dropped the connection into {input}, which {fmus[component].model_name} lacks")
+    return notes

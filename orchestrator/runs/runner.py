@@ -32,7 +32,7 @@ from .prepare import prepare
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class RunResult:
     """What `orch run` has to say."""
 
     run_id: str
@@ -87,7 +87,7 @@ def execute(
     observers: Sequence[Observer] = (),
     context: Context | None = None,
     checkpoints: Sequence[int] = (),
-) -> Result:
+) -> RunResult:
     """Run a resolved plan into its record, unless a completed one is there.
 
     context: {component: what a builtin may need of the run}.  checkpoints: ticks at which to save it, see
@@ -114,7 +114,7 @@ def execute(
     if outcome.status == "completed" and path != final:
         os.replace(path, final)
         path = final
-    return Result(
+    return RunResult(
         run_id=run_id,
         file=path,
         status=outcome.status,
@@ -148,11 +148,11 @@ def _status(path: Path) -> str:
         return "unreadable"
 
 
-def _recall(run_id: str, path: Path, plan: Plan) -> Result:
+def _recall(run_id: str, path: Path, plan: Plan) -> RunResult:
     """The record that is already there, with the metrics that the file asks for today."""
     with Run(path) as record:
         attributes = record.attributes
-        return Result(
+        return RunResult(
             run_id=run_id,
             file=path,
             status=record.status,

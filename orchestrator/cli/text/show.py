@@ -23,13 +23,13 @@ from ...warning import kinds_of
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from ...records.file.run import Run
-    from ...runs.runner import Result
+    from ...runs.runner import RunResult
 
 
 SHOWN_INPUTS = 8
 
 
-def result(result: Result, plan: Plan) -> str:
+def result(result: RunResult, plan: Plan) -> str:
     """A finished run."""
     head = f"{plan.experiment.path.stem} {result.run_id}: {result.status}"
     if not result.repeated:
@@ -137,7 +137,7 @@ def _metrics(
     return rows
 
 
-def last_inputs(result: Result) -> str:
+def last_inputs(result: RunResult) -> str:
     """What the component that failed was given last: the first few, the record has all."""
     shown = [
         f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
@@ -147,7 +147,7 @@ def last_inputs(result: Result) -> str:
     return f"  its last inputs: {', '.join(shown)}" + (f", and {more} more in the record" if more else "")
 
 
-def result_as_json(result: Result) -> dict[str, Any]:
+def result_as_json(result: RunResult) -> dict[str, Any]:
     return {
         "run_id": result.run_id,
         "file": str(result.file),
