@@ -1,8 +1,8 @@
 """Consistent initial values: outputs that agree with the inputs, in initialization mode.
 
 Components exchange values in the order in which they depend on each other, then all in turn until nothing changes any
-more.  Where that does not settle, what depends on itself is solved for by Newton's method, with finite differences and
-shortened steps where a full one does not help.
+more.  Where that does not settle, the values that depend on themselves are solved for by Newton's method, with finite
+differences and shortened steps where a full one does not help.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import Reals, Table, Tables
 from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
@@ -82,7 +83,7 @@ def _settle(system: System) -> list[str]:
     return _Newton(system, loops, [name for name, _, _ in changes]).solve()
 
 
-def exchange(stepper: Stepper, held: Sequence[tuple[Any, int, float]] = ()) -> None:
+def exchange(stepper: Stepper, held: Sequence[tuple[Table, int, float]] = ()) -> None:
     """Give a component its inputs and take its outputs.  held: (buffer, place, value) in place of what is connected.
 
     Raises ComponentFailed.
@@ -105,7 +106,7 @@ def read(stepper: Stepper) -> None:
 
 
 def _schedule(system: System) -> list[str]:
-    """Components in the order in which values flow: one exchange wherever an output needs inputs that are new."""
+    """Components in the order in which values flow, one each time that an output needs inputs that are new."""
     graph = dependencies(system.plan, initial=True)
     stale = {stepper.component.name for stepper in system.steppers}
     order = []
@@ -120,8 +121,8 @@ def _schedule(system: System) -> list[str]:
     return order
 
 
-def _changes(system: System, before: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """Name, value then and value now of everything that changed; a nan is reported later, as what it is."""
+def _changes(system: System, before: Tables) -> list[tuple[str, Any, Any]]:
+    """Name, value before and value now of all that changed; nan is reported later, as an output that is not finite."""
     return [
         (name, a, b)
         for kind, table in system.tables.items()
@@ -131,7 +132,7 @@ def _changes(system: System, before: dict[str, Any]) -> list[tuple[str, Any, Any
 
 
 class _Newton:
-    """Solves x = G(x) for the inputs within cycles: G gives what the outputs make of them."""
+    """Solves x = G(x) for the inputs within cycles, (n,): G(x) are the inputs that the outputs give when they are x."""
 
     def __init__(self, system: System, loops: Sequence[Cycle], changed: Sequence[str]):
         self._system, self._loops, self._changed = system, loops, changed
@@ -160,19 +161,19 @@ class _Newton:
             x, residual = self._step(x, residual)
         raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains after {ITERATIONS} steps")
 
-    def _step(self, x: Any, residual: Any) -> tuple[Any, Any]:
+    def _step(self, x: Reals, residual: Reals) -> tuple[Reals, Reals]:
         try:
             direction = np.linalg.solve(self._jacobian(x), -residual)
         except np.linalg.LinAlgError:
             raise self._failure("its equations are singular") from None
         for halving in range(HALVINGS):
             moved = x + direction / 2**halving
-            found = self._residual(moved)
-            if np.isfinite(found).all() and np.linalg.norm(found) < np.linalg.norm(residual):
-                return moved, found
+            left = self._residual(moved)
+            if np.isfinite(left).all() and np.linalg.norm(left) < np.linalg.norm(residual):
+                return moved, left
         raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains, and no step lessens it")
 
-    def _jacobian(self, x: Any) -> Any:
+    def _jacobian(self, x: Reals) -> Reals:
         columns = []
         for i, value in enumerate(x):
             step = DIFFERENCE * max(1.0, abs(value))
@@ -182,7 +183,7 @@ class _Newton:
             columns.append((self._residual(ahead) - self._residual(behind)) / (ahead[i] - behind[i]))
         return np.column_stack(columns)
 
-    def _residual(self, x: Any) -> Any:
+    def _residual(self, x: Reals) -> Reals:
         """G(x) - x."""
         self._evaluate(x)
         for stepper in {id(stepper): stepper for stepper, _, _ in self._places}.values():
@@ -190,8 +191,8 @@ class _Newton:
                 gather()
         return np.array([setter.buffer[place] for _, setter, place in self._places], dtype=float) - x
 
-    def _evaluate(self, x: Any) -> None:
-        """All components with those inputs held at x, so often that what depends on them has followed."""
+    def _evaluate(self, x: Reals) -> None:
+        """Exchange all values with those inputs held at x, until what depends on them has followed."""
         for _ in range(SWEEPS):
             before = {kind: table.copy() for kind, table in self._system.tables.items()}
             for stepper in self._system.steppers:

@@ -1,6 +1,6 @@
 """The inner loop, twice: compiled, and in Python where that one is not built.  Both give the same rows, bit for bit.
 
-What acts when is told in `master`.
+`master` describes what acts when.
 """
 
 from __future__ import annotations
@@ -9,9 +9,11 @@ import ctypes
 import math
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,70 +31,31 @@ if TYPE_CHECKING:
     from . import _loop
 
 
-class Loop(Protocol):
+class Loop(ABC):
     """Steps a system.  `ticks`: how many steps are done; `name`: how a record tells the loops apart."""
 
     name: str
-    ticks: int
 
+    def __init__(self, system: System):
+        self.ticks = system.plan.first
+        self._system, self._rows = system, _Rows(system)
+
+    @abstractmethod
     def advance(self, last: int, patience: float) -> None:
         """Step until tick `last`, for about `patience` seconds, or until interrupted.
 
-        Raises ComponentFailed; `ticks` then names the start of the failed step.
+        Raises ComponentFailed; `ticks` is then the start of the failed step.
         """
+
+    def take(self) -> list[Block]:
+        """The rows since the last call."""
+        return self._rows.take()
 
     def complete(self, first: int) -> None:
         """Finish a tick in which component number `first` has stepped, and nothing has been done with its results.
 
         Raises ComponentFailed.
         """
-
-    def take(self) -> list[Block]:
-        """The rows since the last call."""
-
-
-def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
-    """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
-    loop = compiled()
-    objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
-    if loop is None or objects:
-        return InterpretedLoop(system, alternations, timing, interrupt)
-    return CompiledLoop(loop, system, alternations, timing, interrupt)
-
-
-def compiled() -> type[_loop.Loop] | None:
-    """What CompiledLoop drives; None where it is not built, out of date, or not wanted."""
-    if os.environ.get("ORCH_LOOP") == "python" or out_of_date():
-        return None
-    try:
-        from . import _loop
-    except ImportError:
-        return None
-    return _loop.Loop
-
-
-def out_of_date() -> str:
-    """A message where a compiled loop is there that other sources were compiled to, or ""."""
-    try:
-        from . import _loop
-    except ImportError:
-        return ""
-    if getattr(_loop, "LAYOUT", None) == layout():
-        return ""
-    return (
-        f"the compiled loop ({_loop.__file__}) was built from other sources than this orch: runs take the loop in "
-        "Python, which gives the same rows more slowly; install orch again (pip install -e ., or make install)"
-    )
-
-
-class _Completing:
-    """How both loops finish a tick that a component ends the simulation with."""
-
-    ticks: int
-    _system: System
-    _rows: _Rows
-
-    def complete(self, first: int) -> None:
         k, grid = self.ticks, self._system.plan.experiment.grid
         for number, stepper in enumerate(self._system.steppers[first:], first):
             if k % stepper.component.period:
@@ -104,7 +67,7 @@ class _Completing:
                 calls: list[Call] = [*sets, partial(stepper.step, ctypes.c_double(grid.time(k)))]
                 for call in calls:
                     stepper.check(call())
-            for get in stepper.gets:  # of a batched one, too: its step has ended before it came to them
+            for get in stepper.gets:  # of a batched one, too: its step ended before its getters
                 stepper.check(get())
             stepper.check_finite()
             for publish in stepper.publish[AT_ONCE]:
@@ -121,12 +84,50 @@ class _Completing:
             self._rows.add(self.ticks)
 
 
-class InterpretedLoop(_Completing):
+def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
+    """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
+    loop = compiled()
+    objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
+    if loop is None or objects:
+        return InterpretedLoop(system, alternations, timing, interrupt)
+    return CompiledLoop(loop, system, alternations, timing, interrupt)
+
+
+def compiled() -> type[_loop.Loop] | None:
+    """What CompiledLoop drives; None where it is not built, out of date, or not wanted."""
+    extension = _extension()
+    if extension is None or out_of_date() or os.environ.get("ORCH_LOOP") == "python":
+        return None
+    loop: type[_loop.Loop] = extension.Loop
+    return loop
+
+
+def out_of_date() -> str:
+    """A message where the compiled loop was built from other sources than this, or ""."""
+    extension = _extension()
+    if extension is None or getattr(extension, "LAYOUT", None) == layout():
+        return ""
+    return (
+        f"the compiled loop ({extension.__file__}) was built from other sources than this orch: runs take the loop in "
+        "Python, which gives the same rows more slowly; install orch again (pip install -e ., or make install)"
+    )
+
+
+def _extension() -> ModuleType | None:
+    """The module that `_loop.c` becomes, whatever it was built from."""
+    try:
+        from . import _loop
+    except ImportError:
+        return None
+    return _loop
+
+
+class InterpretedLoop(Loop):
     name = "python"
 
     def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
-        self.ticks = system.plan.first
-        self._system, self._alternations, self._timing, self._interrupt = system, alternations, timing, interrupt
+        super().__init__(system)
+        self._alternations, self._timing, self._interrupt = alternations, timing, interrupt
         self._steppers = [
             (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
             for number, stepper in enumerate(system.steppers)
@@ -135,8 +136,6 @@ class InterpretedLoop(_Completing):
             (s, s.component.period) for s in system.steppers if s.publish[TICK_END] or s.publish[PERIOD_END]
         ]
         self._checked = [system.tables[kind][:n] for kind in FLOATS if (n := system.computed[kind])]
-        self._rows = _Rows(system)
-        self.take = self._rows.take
 
     def advance(self, last: int, patience: float) -> None:
         grid, stride = self._system.plan.experiment.grid, self._system.plan.stride
@@ -189,7 +188,7 @@ class InterpretedLoop(_Completing):
                 self._rows.add(self.ticks)
 
 
-class CompiledLoop(_Completing):
+class CompiledLoop(Loop):
     """Drives `_loop.c`."""
 
     name = "compiled"
@@ -202,10 +201,7 @@ class CompiledLoop(_Completing):
         timing: Timing,
         interrupt: Interrupt,
     ):
-        self.ticks = system.plan.first
-        self._system = system
-        self._rows = _Rows(system)
-        self.take = self._rows.take
+        super().__init__(system)
         self._loop = loop(program_of(system, alternations, timing, interrupt))
 
     def advance(self, last: int, patience: float) -> None:
@@ -223,7 +219,7 @@ class CompiledLoop(_Completing):
 
 
 class _Rows:
-    """Gathers rows until somebody takes them; begins with the initial values."""
+    """Gathers rows until they are taken; begins with the initial values."""
 
     def __init__(self, system: System):
         self._system = system
@@ -237,7 +233,7 @@ class _Rows:
         self._values: dict[str, list[Table]] = {kind: [] for kind in self._kinds}
 
     def add(self, tick: int) -> None:
-        """A row of the present values."""
+        """A row of the current values."""
         self._ticks.append(tick)
         for kind, rows in self._values.items():
             rows.append(self._system.tables[kind][self._system.recorded[kind]])
@@ -272,7 +268,7 @@ def _calls(stepper: Stepper) -> tuple[list[Call], list[Call]]:
 
 
 def _sums_of_squares(stepper: Stepper, system: System) -> list[Callable[[], Any]]:
-    """Of floats that do not lie in the table yet when the component has stepped: not finite where one is not."""
+    """Of floats that are not yet in the table when the component has stepped: not finite where one of them is not."""
     tables = [system.tables[kind] for kind in FLOATS]
     buffers = [getter.buffer for getter in stepper.getters if getter.kind in FLOATS]
     return [partial(b.dot, b) for b in buffers if not any(np.shares_memory(b, table) for table in tables)]

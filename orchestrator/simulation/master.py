@@ -9,7 +9,7 @@ experiment.  When its results become visible to the others:
                                          the rest (a state, a reference) belongs to the end of the period and is
                                          visible from then on
 
-So a command computed from the state at t acts from t, and nothing is seen before its time.
+So a command computed from the state at t acts from t, and no value is visible before its time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .stepper import ComponentFailed
 from .system import System
 from .timing import Timing
 
-CHUNK_SECONDS = 0.02  # of wall time between two looks at the outside world
+CHUNK_SECONDS = 0.02  # of wall time between two calls of the observers
 CHUNK_BYTES = 1 << 23  # of rows
 
 
@@ -54,28 +54,25 @@ def run(
     except AlgebraicLoop as loop:
         outcome.status, outcome.error = "failed", str(loop)
         outcome.failed_at = system.plan.experiment.grid.time(outcome.ticks)
-    outcome.heard = {
-        m.component.name: m.instance.heard for m in system.steppers if isinstance(m.instance, LiveInstance)
-    }
-    outcome.warnings += [
-        f"{stepper.component.name}: {words}"
-        for stepper in system.steppers
-        for words in stepper.instance.take_messages()
-    ]
+    for stepper in system.steppers:
+        name, instance = stepper.component.name, stepper.instance
+        if isinstance(instance, LiveInstance):
+            outcome.heard[name] = instance.heard
+        outcome.warnings += [f"{name}: {message}" for message in instance.take_messages()]
     return outcome
 
 
 def _cause(system: System, failure: ComponentFailed) -> ComponentFailed:
-    """What gave a value that is not finite failed before what choked on it in the same step."""
+    """A component that gave a value that is not finite failed before the one that refused it in the same step."""
     for stepper in system.steppers:
-        if stepper is not failure.stepper and (words := stepper.not_finite()):
-            return ComponentFailed(stepper, words)
+        if stepper is not failure.stepper and (message := stepper.not_finite()):
+            return ComponentFailed(stepper, message)
     return failure
 
 
 def _fail(system: System, outcome: Outcome, failure: ComponentFailed, interrupt: Interrupt) -> None:
     grid = system.plan.experiment.grid
-    if interrupt.is_set() and failure.stepper.instance.batched:  # and did not answer
+    if interrupt.is_set() and failure.stepper.instance.batched:  # it did not answer after the interruption
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {grid.time(outcome.ticks):.10g} s; {failure.name!r}: {failure}"
         return
@@ -117,7 +114,7 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
             chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
             for observer in observers:
                 observer.progress(loop.ticks)
-    finally:  # a run that fails, or that an FMU ends, is judged too
+    finally:  # also of a run that fails, or that an FMU ends
         timing.stepping = time.perf_counter() - began
         outcome.timing = timing.summary(
             [component.name for component in system.plan.components], loop.ticks - first, loop.name
@@ -131,7 +128,7 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
 
 
 def _ends_with_its_step(system: System, tick: int, failure: ComponentFailed) -> bool:
-    """Whether an FMU asks to end the simulation at the end of the step that it was asked for."""
+    """Whether an FMU asks to end the simulation at the end of the step that it has just done."""
     if failure.status != DISCARD or not failure.stepper.instance.wants_to_end():
         return False
     end = system.plan.experiment.grid.time(tick + failure.stepper.component.period)

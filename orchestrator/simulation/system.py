@@ -1,7 +1,7 @@
-"""The live system: instances of the FMUs, and one table of values that they read from and write to.
+"""The system that runs: instances of the FMUs, and the tables of values that they read from and write to.
 
-Every scalar that somebody reads, writes or records has a place in a table of its kind (real, integer, boolean, string):
-first the outputs of the components, in order, then their inputs.
+Every scalar that is connected, recorded or watched has a place in the table of its kind (real, integer, ...): first the
+outputs of the components, in order, then their inputs.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import Places, Tables
 from ..fmu.fmu import Fmu, unpack
 from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 from ..instances import instantiate
@@ -34,11 +35,11 @@ Context = Mapping[str, Mapping[str, Any]]
 _loaded_modules: dict[str, str] = {}  # by Python FMUs of this process: their digests
 
 
-class Shelf:
-    """Where unpacked and loaded FMUs come from."""
+class FmuSource:
+    """Where unpacked and loaded FMUs come from: here from their files, each time anew."""
 
     def unpack(self, fmu: Fmu, folder: Path) -> None:
-        """Have the FMU's files in the folder.  Raises FmuError."""
+        """Put the FMU's files into the folder.  Raises FmuError."""
         unpack(fmu, folder)
 
     def library(self, fmu: Fmu, folder: Path) -> Library:
@@ -53,11 +54,11 @@ class System:
     outputs; `recorded`: {kind: places}; `places`: {(component, variable): place in the table of its kind}.
     """
 
-    def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, shelf: Shelf):
-        self.plan, self._interrupted, self._context, self._shelf = plan, interrupted, context, shelf
+    def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, source: FmuSource):
+        self.plan, self._interrupted, self._context, self._source = plan, interrupted, context, source
         self.steppers: list[Stepper] = []
-        self.tables: dict[str, Any] = {}
-        self.recorded: dict[str, Any] = {}
+        self.tables: Tables = {}
+        self.recorded: dict[str, Places] = {}
         self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
         self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
         self._folder = Scratch()
@@ -75,15 +76,14 @@ class System:
         plan: Plan,
         interrupted: Callable[[], bool] = bool,
         context: Context | None = None,
-        shelf: Shelf | None = None,
+        source: FmuSource | None = None,
     ) -> Iterator[System]:
-        """Instantiate the FMUs; frees them at the end.
+        """Instantiate the FMUs; free them at the end.
 
-        context: {component: what a builtin may need}; shelf: where unpacked FMUs come from, anew where it is None.
-
-        Raises FmuError where one cannot be instantiated, KeyboardInterrupt where it was `interrupted` meanwhile.
+        context: {component: what a builtin may need}.  Raises FmuError where an FMU cannot be instantiated,
+        KeyboardInterrupt where the user has `interrupted` meanwhile.
         """
-        system = cls(plan, interrupted, context or {}, shelf or Shelf())
+        system = cls(plan, interrupted, context or {}, source or FmuSource())
         try:
             yield system
         finally:
@@ -108,15 +108,15 @@ class System:
 
         Raises ComponentFailed.
         """
-        found: dict[str, dict[str, Any]] = {}
+        parameters: dict[str, dict[str, Any]] = {}
         for stepper in self.steppers:
             chosen = [v for v in stepper.component.fmu.variables.values() if v.causality == "calculatedParameter"]
             for kind in NUMBERS:
                 with failing(stepper):
                     values = stepper.instance.values([v for v in chosen if v.kind == kind and not v.element])
                 if values:
-                    found.setdefault(stepper.component.name, {}).update(values)
-        return found
+                    parameters.setdefault(stepper.component.name, {}).update(values)
+        return parameters
 
     def _instantiate(self) -> None:
         libraries: dict[Path, Library] = {}
@@ -127,14 +127,14 @@ class System:
             path = component.fmu.path
             if path not in folders and not component.live:
                 folders[path] = self._folder.path / str(len(folders)) / component.fmu.model_identifier
-                self._shelf.unpack(component.fmu, folders[path])
+                self._source.unpack(component.fmu, folders[path])
             if component.live:
                 context = {"interrupted": self._interrupted, **self._context.get(component.name, {})}
                 instance: Instance = LiveInstance(component.name, component.fmu, context, context.get("replay"))
             else:
                 instance = self._instance(component, folders[path], libraries)
             self.steppers.append(Stepper(component, instance, self._step_of(component)))
-        # pythonfmu puts its folders first on the path, where they would hide modules of ours that are yet to come.
+        # pythonfmu puts its folders first on the path, where they would hide modules that are imported later.
         ours = [p for p in sys.path if p.startswith(str(self._folder.path))]
         sys.path[:] = [p for p in sys.path if p not in ours] + ours
 
@@ -146,11 +146,11 @@ class System:
             return IsolatedInstance(component.name, component.fmu, folder, component.timeout, spin, self._interrupted)
         if path not in libraries:
             _loaded_modules.update(component.fmu.python_modules)
-            libraries[path] = self._shelf.library(component.fmu, folder)
+            libraries[path] = self._source.library(component.fmu, folder)
         return instantiate(component.name, libraries[path])
 
     def _step_of(self, component: Component) -> float:
-        """Of the component [s]."""
+        """The component's step [s]."""
         return (
             self.plan.experiment.grid.time(component.period)
             if component.period > 1
@@ -273,19 +273,18 @@ class _Ports:
     """Variables by component and kind, in the order of the FMU; of an array all elements, but for those `besides`."""
 
     def __init__(self, fmus: Mapping[str, Fmu], ports: Iterable[tuple[str, Variable]], besides: _Ports | None = None):
-        self._found: dict[tuple[str, str], dict[str, Variable]] = {}
+        self._variables: dict[tuple[str, str], dict[str, Variable]] = {}
         for component, port in ports:
             for variable in fmus[component].elements(port):
-                if besides is None or variable.name not in besides._found.get((component, variable.kind), {}):
-                    self._found.setdefault((component, variable.kind), {})[variable.name] = variable
+                if besides is None or variable.name not in besides._variables.get((component, variable.kind), {}):
+                    self._variables.setdefault((component, variable.kind), {})[variable.name] = variable
 
     def of(self, component: str, kind: str) -> list[Variable]:
-        return sorted(self._found.get((component, kind), {}).values(), key=lambda v: (v.reference, v.element))
+        return sorted(self._variables.get((component, kind), {}).values(), key=lambda v: (v.reference, v.element))
 
 
 def _clash(fmu: Fmu) -> bool:
-    """Whether a Python FMU brings a module that this process already knows as something else: it would compute with
-    that."""
+    """Whether a Python FMU brings a module of which this process has loaded another version, which it would use."""
     for module, digest in fmu.python_modules.items():
         if module.startswith(f"{fmu.model_identifier}_{fmu.guid[:12]}"):
             continue  # packaged by us: the name holds the digest of the content

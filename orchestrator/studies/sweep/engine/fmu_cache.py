@@ -17,11 +17,11 @@ from ....fmu import fmu as fmus
 from ....fmu.fmu import Fmu
 from ....instances.library import Library
 from ....instances.scratch import Scratch
-from ....simulation import system
+from ....simulation.system import FmuSource
 from .storage import Storage
 
 
-class Shelf(system.Shelf):
+class Shelf(FmuSource):
     """The FMUs of this process, in a folder that is gone when the process ends."""
 
     def __init__(self) -> None:

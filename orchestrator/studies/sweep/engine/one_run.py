@@ -15,7 +15,7 @@ from ....records.file.format import ID_LENGTH
 from ....records.file.recorder import Recorder, writing
 from ....simulation.master import run as run_master
 from ....simulation.observer import Block, Interrupt, Observer
-from ....simulation.system import Shelf, System
+from ....simulation.system import FmuSource, System
 
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most
 
@@ -30,7 +30,7 @@ class Performed:
 
 
 def perform(
-    plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt, shelf: Shelf
+    plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt, source: FmuSource
 ) -> Performed:
     """Run a plan into a record at `path`.
 
@@ -43,7 +43,7 @@ def perform(
     if keep != "full":
         known["kept"] = keep
     with (
-        System.open(plan, interrupt.is_set, shelf=shelf) as system,
+        System.open(plan, interrupt.is_set, source=source) as system,
         writing(path, kept, plan.digest[:ID_LENGTH], facts=known, signals=rows) as record,
     ):
         writers: list[Observer] = [] if keep == "metrics" else [_Sieve(record, plan, kept)]
