@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
-import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 GAP = 2  # spaces between columns
 WORD = 22  # characters; a longer word may be broken, a longer title is wrapped above shorter cells
@@ -38,11 +38,14 @@ def table(
     for block in blocks[:1] if rest else blocks:
         widths = _fitted({k: wide[k] for k in block}, narrow, room)
         cells = {k: [_wrapped(cell, width) for cell in columns[k]] for k, width in widths.items()}
-        lines += ["", *_beside(cells, widths, right, LINES if rest else sys.maxsize)]
+        long = [cell for column in cells.values() for cell in column[title:] if rest and len(cell) > LINES]
+        for cell in long:
+            cell[LINES - 1 :] = [f"{cell[LINES - 1][:-2]} …"]
+        lines += ["", *_beside(cells, widths, right)]
     if rest and len(blocks) > 1:
         left_out = [columns[k][0] for block in blocks[1:] for k in block[names:]]
         lines += textwrap.wrap(f"… and {len(left_out)} more: {', '.join(left_out)}; {rest} shows them", room)
-    elif rest and any(len(cell) > LINES for column in cells.values() for cell in column):
+    elif long:
         lines.append(f"… {rest} shows the whole")
     return [f"{' ' * indent}{line}".replace(TIED, " ").rstrip() for line in lines[1:]]
 
@@ -96,20 +99,13 @@ def _fitted(widths: dict[int, int], narrow: Sequence[int], room: int) -> dict[in
 
 
 def _beside(
-    columns: Mapping[int, Sequence[list[str]]], widths: Mapping[int, int], right: Sequence[int], most: int
-) -> list[str]:
-    """The lines of columns whose cells are lines.  most: lines of a cell, the others are cut off."""
-    lines = []
+    columns: Mapping[int, Sequence[list[str]]], widths: Mapping[int, int], right: Sequence[int]
+) -> Iterator[str]:
+    """The lines of columns whose cells are lines."""
     for row in zip(*columns.values(), strict=True):
-        for i in range(min(most, max(map(len, row)))):
-            parts = []
-            for (k, width), cell in zip(widths.items(), row, strict=True):
-                text = cell[i] if i < len(cell) else ""
-                if i == most - 1 and len(cell) > most:
-                    text = f"{text[: width - 2]} …"
-                parts.append(text.rjust(width) if k in right else text.ljust(width))
-            lines.append((" " * GAP).join(parts))
-    return lines
+        for texts in itertools.zip_longest(*row, fillvalue=""):
+            parts = zip(texts, widths.items(), strict=True)
+            yield (" " * GAP).join(text.rjust(w) if k in right else text.ljust(w) for text, (k, w) in parts)
 
 
 def _wrapped(cell: str, width: int) -> list[str]:
