@@ -237,7 +237,15 @@ def still(offset=(0.0,) * 6, psi_d=0.0, start=(1.0, 1.0, 1.0, 0.0, 0.0, 1.0)):
     eta_d = np.zeros((len(time), 6))
     eta_d[:, 5] = psi_d
     zero = np.zeros((len(time), 6))
-    return Track(time, eta_d + left * np.array(start) + (1 - left) * np.array(offset), eta_d, zero, zero, zero, zero)
+    return Track(
+        time=time,
+        eta=eta_d + left * np.array(start) + (1 - left) * np.array(offset),
+        eta_d=eta_d,
+        nu=zero,
+        nu_d=zero,
+        tau=zero,
+        u=zero,
+    )
 
 
 @pytest.mark.parametrize("number", ["5.1", "5.6", "5.7", "5.19", "5.45", "5.66", "5.69", "5.72", "5.73"])

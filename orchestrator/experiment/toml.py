@@ -16,24 +16,25 @@ def write(table: Mapping[str, Any]) -> str:
 def _lines(table: Mapping[str, Any]) -> Iterator[str]:
     for key, value in table.items():
         if not isinstance(value, Mapping):
-            yield f"{_key(key)} = {_value(value)}"
+            yield f"{_key(key)} = {inline(value)}"
     for key, value in table.items():
         if not isinstance(value, Mapping) or not value:
             continue
         sections = {f"components.{_key(n)}": t for n, t in value.items()} if key == "components" else {_key(key): value}
         for head, section in sections.items():
-            yield from ("", f"[{head}]", *(f"{_key(k)} = {_value(v)}" for k, v in section.items()))
+            yield from ("", f"[{head}]", *(f"{_key(k)} = {inline(v)}" for k, v in section.items()))
 
 
 def _key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _text(key)
 
 
-def _value(value: Any) -> str:
+def inline(value: Any) -> str:
+    """A value on one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }" if value else "{}"
+        return "{ " + ", ".join(f"{_key(k)} = {inline(v)}" for k, v in value.items()) + " }" if value else "{}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, bool):

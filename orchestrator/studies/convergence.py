@@ -15,7 +15,6 @@ from ..errors import ExperimentError, Problem
 from ..metrics import unit_of
 from ..runs.prepare import prepare
 from ..views import figures
-from ..views.tables import terminal
 from . import processes
 from .progress import CommandProgress
 
@@ -24,7 +23,7 @@ NOISE = 1e-6  # SI; a metric that is zero but for rounding has no relative error
 FACTORS = (4.0, 2.0, 1.0, 0.5)  # of the experiment's own step, where the user names no steps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MetricConvergence:
     """One metric.  values: by step [s], coarse to fine; order: nan where the values do not approach a limit."""
 
@@ -41,7 +40,7 @@ class MetricConvergence:
         return math.isfinite(self.error) and self.error <= TOLERANCE * size + NOISE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ConvergenceStudy:
     """All metrics.  warnings: of the run at the experiment's own step."""
 
@@ -96,7 +95,13 @@ def study(
     for name, spec in plan.experiment.metrics.items():
         values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
         metrics.append(assess(name, unit_of(spec, units), values, own))
-    return ConvergenceStudy(plan.experiment.path.stem, own, chosen, tuple(metrics), tuple(by_step[own]["warnings"]))
+    return ConvergenceStudy(
+        experiment=plan.experiment.path.stem,
+        own=own,
+        steps=chosen,
+        metrics=tuple(metrics),
+        warnings=tuple(by_step[own]["warnings"]),
+    )
 
 
 def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> MetricConvergence:
@@ -109,7 +114,7 @@ def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> M
     error = abs(values[own] - limit)
     if math.isnan(order) and own == h3:  # nothing finer to compare with
         error = abs(m3 - m2)
-    return MetricConvergence(name, unit, dict(values), order, limit, error)
+    return MetricConvergence(name=name, unit=unit, values=dict(values), order=order, limit=limit, error=error)
 
 
 def observed_order(steps: tuple[float, float, float], values: tuple[float, float, float]) -> float:
@@ -158,15 +163,17 @@ def draw(study: ConvergenceStudy, target: Path) -> Path:
 
 def report(study: ConvergenceStudy) -> str:
     """The study as a table and a verdict."""
-    steps = [terminal.tied(f"{step:g} s{'*' if step == study.own else ''}") for step in study.steps]
-    rows = [["metric", *steps, "order", "error*", ""]]
+    head = ["metric", *(f"{step:g} s{'*' if step == study.own else ''}" for step in study.steps), "order", "error*", ""]
+    rows = [head]
     for metric in study.metrics:
-        values = [f"{metric.values[step]:.5g}" for step in study.steps]
         order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
-        error = terminal.tied(f"{metric.error:.2g} {metric.unit}".strip())
-        rows.append([metric.name, *values, order, error, "" if metric.converged(study.own) else "not converged"])
-    note = f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed"
-    lines = [*terminal.table(rows), "", note, *(f"warning: {warning}" for warning in study.warnings)]
+        verdict = "" if metric.converged(study.own) else "not converged"
+        values = [f"{metric.values[step]:.5g}" for step in study.steps]
+        rows.append([metric.name, *values, order, f"{metric.error:.2g} {metric.unit}".strip(), verdict])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines += ["", f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed"]
+    lines += [f"warning: {warning}" for warning in study.warnings]
     verdict = "converged" if study.converged else "NOT converged"
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
 

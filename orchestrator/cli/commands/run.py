@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-from ... import files
 from ...errors import ExperimentError, OrchError
 from .options import (
     INTERRUPTED,
@@ -70,6 +69,7 @@ def run(
     **live: Any,
 ) -> int:
     """Run an experiment, or a SYSTEM.ssp, and record it."""
+    from ... import files
     from ...records.file.run import Run
     from ...runs.checkpoint.observer import ticks_of
     from ...runs.progress import ProgressLine, RunProgress
@@ -187,6 +187,7 @@ def check(
     orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
     orch check system.ssp
     """
+    from ... import files
     from ...views.figures.diagram import FORMS, draw
     from ..text import show
 
@@ -209,4 +210,4 @@ def check(
     if load:
         told("every FMU was loaded and initialized")
     if target is not None and not as_json:
-        click.echo(f"\n{files.short(target)}")
+        click.echo(f"\n{show.short(target)}")

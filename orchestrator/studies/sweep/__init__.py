@@ -1,1 +1,1 @@
-"""Many runs of one experiment: designed, run on many processes, and judged by paired statistics."""
+"""Many runs of one experiment: designed, run on many processes, and compared by paired statistics."""

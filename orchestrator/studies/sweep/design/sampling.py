@@ -1,8 +1,8 @@
 """Draws of the distributions of a sweep.
 
 With "random" and "lhs" the numbers of a key are seeded by the sweep's seed and the key, whatever the other keys are;
-with "sobol" a draw is one point for all keys, in order of their names.  With "random" and "sobol" draw k is the same
-however many there are; "lhs" needs their number.
+with "sobol" a draw is one point for all keys, in the order of their names.  With "random" and "sobol" draw k does not
+depend on how many draws there are; with "lhs" it does.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+from ....arrays import Reals
 
 ULP = 2.0**-53  # the largest number below 1 is 1 - ULP
 
 
 class Vector(dict[str, float]):
-    """A drawn value with axes."""
+    """A drawn value with axes: {axis: number}."""
 
 
 def draw(distributions: Mapping[str, Mapping[str, Any]], method: str, n: int, seed: int) -> dict[str, list[Any]]:
-    """{key: n values}.  distributions: {key: its table}; method: one of DESIGNS."""
+    """n draws of each distribution, {key: values}.
+
+    distributions: {key: its table}; method: one of `experiment.sweep.DESIGNS`; n: of draws.
+    """
     coordinates = {key: _coordinates(distributions[key]) for key in sorted(distributions)}
     names = [f"{key}/{i}" for key, count in coordinates.items() for i in range(count)]
     columns = iter(_SAMPLERS[method](names, n, seed))
@@ -44,27 +44,30 @@ def _coordinates(table: Mapping[str, Any]) -> int:
     return len(table["axes"]) if table["distribution"] == "direction" else 1
 
 
-def _raw(name: str, seed: int) -> Callable[[int], Array]:
-    """The stream of a name: n numbers in (0, 1).  Of numpy only what it promises to keep: seeding and raw bits."""
+def _raw(name: str, seed: int) -> Callable[[int], Reals]:
+    """The stream of a name: of n it makes (n,) numbers in (0, 1).
+
+    It uses only what numpy promises never to change: seeding and raw bits.
+    """
     entropy = int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest(), "big")
     bits = np.random.PCG64(entropy)
     return lambda n: ((bits.random_raw(n) >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 
 
-def _random(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
+def _random(names: Sequence[str], n: int, seed: int) -> Iterator[Reals]:
     return (_raw(name, seed)(n) for name in names)
 
 
-def _lhs(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
-    """One number in each of n equal cells, the cells of each name in an order of its own."""
+def _lhs(names: Sequence[str], n: int, seed: int) -> Iterator[Reals]:
+    """One number in each of n cells of equal width, the cells in a random order for each name."""
     for name in names:
         stream = _raw(name, seed)
         order = np.argsort(np.argsort(stream(n), kind="stable"), kind="stable")
         yield (order + stream(n)) / n
 
 
-def _sobol(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
-    """Scrambled Sobol points, one dimension a name."""
+def _sobol(names: Sequence[str], n: int, seed: int) -> Iterator[Reals]:
+    """Scrambled Sobol points, one dimension for each name."""
     if not names:
         return iter(())
     from scipy.stats import qmc
@@ -72,21 +75,20 @@ def _sobol(names: Sequence[str], n: int, seed: int) -> Iterator[Array]:
     entropy = int.from_bytes(hashlib.sha256(f"{seed}/sobol".encode()).digest(), "big")
     engine = qmc.Sobol(len(names), scramble=True, rng=np.random.Generator(np.random.PCG64(entropy)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # n may be any number; `notes` says what balances best
+        warnings.simplefilter("ignore", UserWarning)  # n may be any number; `prepared` notes which ones balance
         points = engine.random(n)
     return iter(points.T)
 
 
-_SAMPLERS: dict[str, Callable[[Sequence[str], int, int], Iterator[Array]]] = {
+_SAMPLERS: dict[str, Callable[[Sequence[str], int, int], Iterator[Reals]]] = {
     "random": _random,
     "lhs": _lhs,
     "sobol": _sobol,
 }
-DESIGNS = tuple(_SAMPLERS)
 
 
-def _values(table: Mapping[str, Any], columns: Sequence[Array]) -> list[Any]:
-    """Draws of a distribution, by its inverse from numbers in (0, 1)."""
+def _values(table: Mapping[str, Any], columns: Sequence[Reals]) -> list[Any]:
+    """Draws of a distribution: the inverse of its distribution function, at numbers in (0, 1).  columns: each (n,)."""
     u = columns[0].tolist()
     match table["distribution"]:
         case "uniform":

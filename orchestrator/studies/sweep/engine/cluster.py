@@ -8,28 +8,31 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ....errors import OrchError
 from ...processes import cores
 from .storage import MISSING
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 PATIENCE = 20.0  # s until a scheduler or the first worker answers
 
 
 @contextlib.contextmanager
-def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A Dask client.  scheduler: its address; None starts `workers` processes here, one a core by default.
+def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A Dask client.  scheduler: its address; None starts `workers` processes here, by default one a core.
 
-    Raises OrchError without Dask, or where nobody answers.
+    Raises OrchError where Dask is not installed, or no scheduler with a worker answers.
     """
     try:
         import dask
         from distributed import Client, LocalCluster
     except ImportError:
         raise OrchError(MISSING) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what ends and begins is told by us
-    # One worker that dies is no reason to give up what it ran; `engine` tells a run that kills every worker.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # `scheduler` reports what matters
+    # A batch whose worker died runs again on another; what kills the third, too, is a failed run, see `scheduler`.
     dask.config.set(
         {
             "distributed.scheduler.allowed-failures": 2,
@@ -51,28 +54,28 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
                     host="127.0.0.1",
                 )
             )
-            found = stack.enter_context(Client(cluster))
+            connected = stack.enter_context(Client(cluster))
         else:
             try:
-                found = stack.enter_context(Client(scheduler, timeout=PATIENCE))
-                found.wait_for_workers(1, timeout=PATIENCE)
+                connected = stack.enter_context(Client(scheduler, timeout=PATIENCE))
+                connected.wait_for_workers(1, timeout=PATIENCE)
             except (OSError, TimeoutError, ValueError, ImportError) as error:
                 raise OrchError(
-                    f"--scheduler {scheduler}: {_words(error)}; start one by: dask scheduler, and workers "
+                    f"--scheduler {scheduler}: {_reason(error)}; start one by: dask scheduler, and workers "
                     "by: dask worker ADDRESS --nthreads 1"
                 ) from None
-        yield found
+        yield connected
 
 
-def deaf() -> None:
-    """In a worker of this machine: Ctrl-C is told by the process that asked for the runs."""
+def ignore_ctrl_c() -> None:
+    """In a worker of this machine: Ctrl-C reaches it by `worker.interrupt` alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def alike(found: Any) -> str:
-    """What keeps the workers from giving the same numbers as this process, as a sentence; "" where nothing does."""
+def mismatch(client: Client) -> str:
+    """Why the workers may give other numbers than this process; "" where nothing speaks for it."""
     here = sys.version_info[:2]
-    others = {tuple(version) for version in found.run(_version).values()}
+    others = {tuple(version) for version in client.run(_version).values()}
     if others - {here}:
         return f"workers run Python {sorted(others)}, this is {here}; use one version everywhere"
     return ""
@@ -83,9 +86,9 @@ def _version() -> tuple[int, ...]:
 
 
 def token() -> str:
-    """Names this process among those that ask the same workers."""
+    """Tells this process from others that use the same workers."""
     return f"{os.uname().nodename if hasattr(os, 'uname') else ''}/{os.getpid()}/{os.urandom(4).hex()}"
 
 
-def _words(error: BaseException) -> str:
-    return " ".join(str(error).split()) or "nobody answers"
+def _reason(error: BaseException) -> str:
+    return " ".join(str(error).split()) or "no answer"

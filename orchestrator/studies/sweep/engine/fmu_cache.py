@@ -1,12 +1,13 @@
 """What a worker keeps between runs: FMUs fetched by digest, unpacked and loaded once.
 
-Besides the time it saves, a library that is loaded from the same file again is the same one to the system's loader;
-unpacked for every run, each run's libraries would stay in memory.
+This saves time, and memory: loaded again from the same file, a library is the same one to the system's loader, whereas
+libraries that are unpacked for every run would stay in memory.
 """
 
 from __future__ import annotations
 
 import atexit
+import functools
 import hashlib
 import os
 from pathlib import Path
@@ -21,8 +22,8 @@ from ....simulation.system import FmuSource
 from .storage import Storage
 
 
-class Shelf(FmuSource):
-    """The FMUs of this process, in a folder that is gone when the process ends."""
+class FmuCache(FmuSource):
+    """The FMUs of this process, in a folder that is deleted when the process ends."""
 
     def __init__(self) -> None:
         self._folder = Scratch()
@@ -31,7 +32,7 @@ class Shelf(FmuSource):
         self._libraries: dict[str, Library] = {}
 
     def fmu(self, storage: Storage, digest: str) -> Path:
-        """The FMU of that digest, from the sweep's folder.  Raises StoreError where it is not what it should be."""
+        """The file of the FMU with that digest, from the sweep's folder.  Raises StoreError where it is damaged."""
         path = self._folder.path / f"{digest}.fmu"
         if not path.exists():
             content = storage.read(fmu_place(digest))
@@ -43,7 +44,7 @@ class Shelf(FmuSource):
         return path
 
     def read(self, path: Path, *more: Any) -> Fmu:
-        """`fmu.read`, once a file of this folder."""
+        """`fmu.read`, once for each file of this folder."""
         if path.parent != self._folder.path:
             return fmus.read(path, *more)
         key = (path, *map(repr, more))
@@ -63,7 +64,7 @@ class Shelf(FmuSource):
             fmus.unpack(fmu, folder)
 
     def library(self, fmu: Fmu, folder: Path) -> Library:
-        """A native FMU's library, loaded once; a Python FMU's anew, for its folder joins Python's path."""
+        """A native FMU's library, loaded once; a Python FMU's each time, for its folder joins Python's path."""
         if fmu.packaging == "python":
             return Library(fmu, folder)
         if fmu.sha256 not in self._libraries:
@@ -78,15 +79,11 @@ class Shelf(FmuSource):
 
 
 def fmu_place(digest: str) -> str:
-    """Where a sweep's folder has an FMU."""
+    """The name of an FMU in the sweep's folder."""
     return f"fmus/{digest}.fmu"
 
 
-_shelves: list[Shelf] = []
-
-
-def shelf() -> Shelf:
-    """The shelf of this process, made at the first call."""
-    if not _shelves:
-        _shelves.append(Shelf())
-    return _shelves[0]
+@functools.cache
+def of_this_process() -> FmuCache:
+    """The cache of this process, made at the first call."""
+    return FmuCache()

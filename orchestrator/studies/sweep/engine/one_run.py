@@ -1,15 +1,16 @@
-"""One run of a sweep, from its experiment to its record."""
+"""One run of a sweep, from its plan to its record."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ....arrays import Reals, Table, Tables
 from ....plan.plan import Plan
 from ....records.file.format import ID_LENGTH
 from ....records.file.recorder import Recorder, writing
@@ -20,39 +21,30 @@ from ....simulation.system import FmuSource, System
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most
 
 
-@dataclass(frozen=True)
-class Performed:
-    """How a run ended.  metrics: {} unless it completed."""
-
-    status: str
-    error: str
-    metrics: Mapping[str, float]
-
-
 def perform(
     plan: Plan, path: Path, keep: str, facts: Mapping[str, str], interrupt: Interrupt, source: FmuSource
-) -> Performed:
-    """Run a plan into a record at `path`.
+) -> Recorder:
+    """Run a plan into a record at `path`.  Returns the finished record, with its outcome and metrics.
 
-    keep: "full"; "decimated", with every n-th row; or "metrics", without rows.  Metrics are those of all rows.
-    A record that cannot be written any further makes the run a failed one.  Raises OrchError where nothing started.
+    keep: which rows, "full", "decimated" (every n-th) or "metrics" (none).  Metrics are those of all rows.
+    facts: root attributes that are known already.  Raises OrchError where nothing started.
     """
-    rows = Rows(plan)
+    signals = MetricSignals(plan)
     kept = reduced(plan, keep)
     known = {**facts, "digest": plan.digest, "experiment_resolved": json.dumps(plan.resolved)}
     if keep != "full":
         known["kept"] = keep
     with (
         System.open(plan, interrupt.is_set, source=source) as system,
-        writing(path, kept, plan.digest[:ID_LENGTH], facts=known, signals=rows) as record,
+        writing(path, kept, plan.digest[:ID_LENGTH], facts=known, signals=signals) as record,
     ):
-        writers: list[Observer] = [] if keep == "metrics" else [_Sieve(record, plan, kept)]
-        record.outcome = run_master(system, [rows, *writers], interrupt)
-    return Performed(record.outcome.status, record.outcome.error, record.metrics)
+        writers: list[Observer] = [] if keep == "metrics" else [_EveryNth(record, plan, kept)]
+        record.outcome = run_master(system, [signals, *writers], interrupt)
+    return record
 
 
 def reduced(plan: Plan, keep: str) -> Plan:
-    """The plan of the rows that are kept."""
+    """The plan whose rows are those that are kept."""
     if keep == "full":
         return plan
     if keep == "metrics":
@@ -68,7 +60,7 @@ def _divides(n: int, rows: int) -> bool:
 
 
 def rows_of(plan: Plan, keep: str, stopped_at: float | None) -> int:
-    """How many rows a whole record has."""
+    """How many rows a complete record has.  stopped_at: when an FMU ended the run [s], None where none did."""
     if keep == "metrics":
         return 0
     kept = reduced(plan, keep)
@@ -78,14 +70,16 @@ def rows_of(plan: Plan, keep: str, stopped_at: float | None) -> int:
     return ticks // kept.stride + 1
 
 
-class Rows(Observer):
-    """The signals that metrics are made of, in memory: what `metrics.evaluate` needs of a record."""
+class MetricSignals(Observer):
+    """The signals that the metrics need, in memory, at every row; see `arrays.Signals`."""
 
     def __init__(self, plan: Plan):
         specs = plan.experiment.metrics.values()
         ends = {str(spec[end]) for spec in specs for end in ("signal", "reference") if end in spec}
-        self._grid, self._units, self._column = plan.experiment.grid, {}, {}
-        self._chosen: dict[str, list[int]] = {}
+        self._grid = plan.experiment.grid
+        self._units: dict[str, str] = {}
+        self._column: dict[str, tuple[str, int]] = {}  # {signal: its kind, and its column among those chosen}
+        self._chosen: dict[str, list[int]] = {}  # {kind: columns of a block}
         count: dict[str, int] = {}
         for component, variable in plan.recorded:
             name, kind = f"{component}.{variable.name}", variable.kind
@@ -96,8 +90,8 @@ class Rows(Observer):
                 self._units[name] = variable.unit or "1"
                 chosen.append(index)
         self._ticks: list[int] = []
-        self._blocks: dict[str, list[Any]] = {kind: [] for kind in self._chosen}
-        self._joined: dict[str, Any] = {}
+        self._blocks: dict[str, list[Table]] = {kind: [] for kind in self._chosen}
+        self._joined: Tables = {}
 
     def rows(self, block: Block) -> None:
         self._ticks += block.ticks
@@ -108,24 +102,26 @@ class Rows(Observer):
     def signals(self) -> list[str]:
         return list(self._column)
 
-    @property
-    def time(self) -> Any:
-        if "" not in self._joined:
-            self._joined[""] = self._grid.times(0, self._ticks[-1] + 1)[self._ticks] if self._ticks else np.empty(0)
-        return self._joined[""]
+    @cached_property
+    def time(self) -> Reals:
+        if not self._ticks:
+            return np.empty(0)
+        times: Reals = self._grid.times(0, self._ticks[-1] + 1)[self._ticks]
+        return times
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> Table:
         kind, column = self._column[name]
         if kind not in self._joined:
             self._joined[kind] = np.ascontiguousarray(np.concatenate(self._blocks[kind]).T)
-        return self._joined[kind][column]
+        values: Table = self._joined[kind][column]
+        return values
 
     def units(self, name: str) -> str:
-        return str(self._units[name])
+        return self._units[name]
 
 
-class _Sieve(Observer):
-    """Hands every n-th row on to the recorder."""
+class _EveryNth(Observer):
+    """Passes every n-th row to the recorder."""
 
     def __init__(self, recorder: Recorder, plan: Plan, kept: Plan):
         self._recorder, self._stride, self._all = recorder, kept.stride, kept.stride == plan.stride

@@ -1,7 +1,7 @@
 """Runs a sweep: what is missing, in batches, on Dask's processes.
 
-A record is there when it is verified and complete; a batch looks for itself, so that resuming, a worker that died and a
-worker that came too late are one case.  Batches are handed out a few at a time, each sized to last about a second.
+A batch skips runs whose records are verified and complete, so that a sweep that is resumed, a worker that died and a
+batch that ran twice are one case.  A few batches are submitted at a time, each sized to last about a second.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
 
@@ -28,6 +28,9 @@ from . import cluster, fmu_cache, table, worker
 from .storage import PART, Storage
 from .worker import FAILED, PointResult
 
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
 BATCH_SECONDS = 1.0  # of wall time that a batch lasts
 AHEAD = 2  # batches a worker has: one that runs, one that waits
 LOCK, OWNER = ".lock", ".owner"  # files in the folder; OWNER holds the id of the process that has the lock
@@ -37,12 +40,12 @@ RunsEnded = Callable[[int, int, int, float], None]  # runs that ended, of how ma
 
 @dataclass
 class SweepResult:
-    """How a sweep ended.  by_index: of each run that ended; wall_time [s]: from the first run to the last record."""
+    """How a sweep ended.  by_index: of each run that ended."""
 
     prepared: PreparedSweep
     storage: Storage
     by_index: dict[int, PointResult] = field(default_factory=dict)
-    wall_time: float = 0.0
+    wall_time: float = 0.0  # s, from the first run to the last record
     interrupted: bool = False
     stopped: bool = False  # by the first failure
 
@@ -82,8 +85,8 @@ def sweep(
         try:
             with cluster.client(scheduler, workers) as client:
                 if scheduler is None:
-                    client.run(cluster.deaf)
-                elif words := cluster.alike(client):
+                    client.run(cluster.ignore_ctrl_c)
+                elif words := cluster.mismatch(client):
                     raise OrchError(f"--scheduler {scheduler}: {words}")
                 _run(client, job, result, fail_fast, pressed, runs_ended)
             _clear(storage)
@@ -95,7 +98,7 @@ def sweep(
 
 
 def _run(
-    client: Any, job: SweepJob, result: SweepResult, fail_fast: bool, pressed: Interrupt, runs_ended: RunsEnded
+    client: Client, job: SweepJob, result: SweepResult, fail_fast: bool, pressed: Interrupt, runs_ended: RunsEnded
 ) -> None:
     """Keep every worker busy until all runs have ended."""
     from distributed import wait
@@ -104,8 +107,8 @@ def _run(
     token = cluster.token()
     points = result.prepared.points
     waiting = deque(points)
-    alone: deque[DesignPoint] = deque()  # of batches that killed their workers: run one by one, to find which did
-    submitted: dict[Any, list[DesignPoint]] = {}
+    alone: deque[DesignPoint] = deque()  # of batches whose workers died: each runs by itself, to find the cause
+    submitted: dict[Future[list[PointResult]], list[DesignPoint]] = {}
     spent, measured, began, stopping = 0.0, 0, time.monotonic(), False
     while waiting or alone or submitted:
         threads = max(1, len(client.nthreads()))
@@ -146,12 +149,15 @@ def _run(
 
 
 def _size(seconds: float, waiting: int, threads: int) -> int:
-    """Runs of the next batch: about BATCH_SECONDS of them, fewer towards the end."""
+    """How many runs the next batch has: about BATCH_SECONDS of them, fewer towards the end.
+
+    seconds: of wall time that a run takes; waiting: runs; threads: of all workers.
+    """
     return max(1, min(int(BATCH_SECONDS / max(seconds, 1e-3)), waiting // (AHEAD * threads), waiting))
 
 
 def lay_out(prepared: PreparedSweep, storage: Storage) -> None:
-    """The sweep's folder: what it is, the FMUs, and nothing left of processes that were killed."""
+    """Write the sweep's description and FMUs into its folder, and delete what killed processes have left there."""
     _clear(storage)
     for digest, path in prepared.files.items():
         if not storage.exists(fmu_cache.fmu_place(digest)):
@@ -160,7 +166,7 @@ def lay_out(prepared: PreparedSweep, storage: Storage) -> None:
 
 
 def _clear(storage: Storage) -> None:
-    """Delete what processes that were killed have left."""
+    """Delete what killed processes have left."""
     if storage.local is not None:
         for rest in storage.local.glob(f"{PART}*"):
             rest.unlink(missing_ok=True)
@@ -168,7 +174,10 @@ def _clear(storage: Storage) -> None:
 
 @contextlib.contextmanager
 def locked(storage: Storage) -> Iterator[None]:
-    """One process at a time runs a sweep; a remote folder is left to whoever shares it.  Raises StoreError."""
+    """Holds a sweep's folder, so that one process at a time runs it.  Remote folders are not locked.
+
+    Raises StoreError where another process holds it, or it cannot be written.
+    """
     folder = storage.local
     if folder is None:
         yield

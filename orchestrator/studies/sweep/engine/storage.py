@@ -1,4 +1,4 @@
-"""Where a sweep lies: a folder on this machine, or on anything that fsspec knows (s3://, sftp://, ...)."""
+"""The folder of a sweep: on this machine, or on any file system that fsspec knows (s3://, sftp://, ...)."""
 
 from __future__ import annotations
 
@@ -39,10 +39,11 @@ class Storage:
 
     @property
     def local(self) -> Path | None:
-        """The folder, where it lies on this machine."""
+        """The folder, if it lies on this machine."""
         return Path(self._root) if self._system is None else None
 
     def place(self, name: str) -> str:
+        """The path of a file, as the file system knows it."""
         return f"{self._root}/{name}"
 
     def exists(self, name: str) -> bool:
@@ -53,8 +54,8 @@ class Storage:
         """Paths below the folder that fit a glob, sorted."""
         if self._system is None:
             return sorted(path.relative_to(self._root).as_posix() for path in Path(self._root).glob(pattern))
-        found = self._system.glob(self.place(pattern))
-        return sorted(str(path)[len(self._root) :].lstrip("/") for path in found)
+        paths = self._system.glob(self.place(pattern))
+        return sorted(str(path)[len(self._root) :].lstrip("/") for path in paths)
 
     def read(self, name: str) -> bytes:
         """Raises StoreError where it cannot be read."""
@@ -65,7 +66,7 @@ class Storage:
             raise StoreError(f"{self.address}/{name} cannot be read: {_reason(error)}") from None
 
     def write(self, name: str, content: bytes) -> None:
-        """As one: a reader sees the old file or the new one.  Raises StoreError."""
+        """Write a file atomically: a reader sees the old content or the new.  Raises StoreError."""
         with self._writing(name):
             if self._system is None:
                 target = Path(self.place(name))
@@ -78,7 +79,7 @@ class Storage:
                 self._system.pipe_file(self.place(name), content)
 
     def put(self, source: Path, name: str) -> None:
-        """Move a file here, as one.  Raises StoreError."""
+        """Move a file here, atomically.  Raises StoreError."""
         with self._writing(name):
             if self._system is None:
                 os.replace(source, self.place(name))
@@ -105,8 +106,8 @@ class Storage:
 
     @contextmanager
     def scratch(self, name: str) -> Iterator[Path]:
-        """A place for a file that is being written, from where `put` moves it; empty at the end."""
-        if self._system is None:  # the same file system, so that moving is renaming
+        """Where a file is written before `put` moves it here; nothing of it is left at the end."""
+        if self._system is None:  # on the same file system, so that moving is renaming
             place = Path(self.place(f"{PART}{os.getpid()}-{Path(name).stem}"))
             try:
                 yield place

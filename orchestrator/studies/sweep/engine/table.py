@@ -1,4 +1,4 @@
-"""The table of a sweep: one line a run, in the order of the design, whatever the order in which they ended."""
+"""The table of a sweep: one line for each run, in the order of the design."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DESCRIPTION, TABLE = "sweep.json", "table.csv"
 
 
 def text(points: Sequence[DesignPoint], results: Mapping[int, PointResult], metrics: Sequence[str]) -> str:
-    """CSV.  A number is written so that it reads back to the same bits; no number is an empty cell."""
+    """The table as CSV.  Numbers read back to the same bits; where there is none, the cell is empty."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     keys = list(points[0].cells)
@@ -42,7 +42,7 @@ def _cell(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SweepTable:
     """The table of a sweep, read.
 
@@ -75,24 +75,25 @@ class SweepTable:
 
 
 def find(results: str, sweep: str) -> SweepTable:
-    """The sweep that is meant: an id, a unique prefix of one, an experiment of which there is one sweep, or "last".
+    """The table of the sweep that a user names.
 
-    Raises StoreError where that is none, or several.
+    sweep: its id or a unique prefix of one, an experiment that has one sweep, or "last".  Raises StoreError where that
+    is no sweep, or several.
     """
     storage = Storage(results)
     known = [name.rpartition("/")[0] for name in storage.names(f"*/{DESCRIPTION}") if not name.startswith("_")]
     if sweep == "last":
         local = storage.local
         if not known or local is None:
-            raise StoreError(f"{results} holds no sweep that is the last; run one first, or give its id")
+            raise StoreError(f"{results} holds no sweep; run one first, or give its id")
         return read(results, max(known, key=lambda name: (local / name / DESCRIPTION).stat().st_mtime_ns))
     ids = {name: name.rpartition("-")[2] for name in known}
-    found = [name for name in known if sweep in (name, ids[name])]
-    found = found or [name for name in known if ids[name].startswith(sweep) or name.rpartition("-")[0] == sweep]
-    if len(found) == 1:
-        return read(results, found[0])
-    if found:
-        raise StoreError(f"{sweep!r} means several sweeps: {', '.join(found[:6])}; give more of the id")
+    matches = [name for name in known if sweep in (name, ids[name])]
+    matches = matches or [name for name in known if ids[name].startswith(sweep) or name.rpartition("-")[0] == sweep]
+    if len(matches) == 1:
+        return read(results, matches[0])
+    if matches:
+        raise StoreError(f"{sweep!r} means several sweeps: {', '.join(matches[:6])}; give more of the id")
     raise StoreError(f"no sweep {sweep!r} in {results}{did_you_mean(sweep, [*ids.values()], 'there are')}")
 
 
@@ -102,12 +103,19 @@ def read(results: str, folder: str) -> SweepTable:
     try:
         description = json.loads(storage.read(DESCRIPTION))
         if description["format"] != FORMAT:
-            raise ValueError(f"it is no {FORMAT}")
+            raise ValueError(f"its format is not {FORMAT}")
         columns = [Column(**metric) for metric in description["metrics"]]
         rows: list[dict[str, Any]] = list(csv.DictReader(io.StringIO(storage.read(TABLE).decode())))
         for row in rows:
             row["draw"] = int(row["draw"])
             row |= {column.name: float(row[column.name] or math.nan) for column in columns}
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{storage.address} holds no sweep that can be read: {error}") from None
-    return SweepTable(description["sweep_id"], description["title"], storage, description, columns, rows)
+        raise StoreError(f"{storage.address}: the sweep cannot be read: {error}") from None
+    return SweepTable(
+        sweep_id=description["sweep_id"],
+        title=description["title"],
+        storage=storage,
+        description=description,
+        columns=columns,
+        rows=rows,
+    )

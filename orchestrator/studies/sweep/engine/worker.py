@@ -20,11 +20,12 @@ from ....plan.plan import Plan
 from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
 from ....records.file.provenance import versions
-from ....records.file.run import Run as Record
+from ....records.file.run import Run
 from ....simulation.observer import Interrupt
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache
+from .fmu_cache import FmuCache
 from .one_run import perform, rows_of
 from .storage import Storage
 
@@ -45,16 +46,16 @@ class PointResult:
 
 
 _interrupts: dict[str, Interrupt] = {}
-_one_at_a_time = threading.Lock()  # a Dask worker may have several threads; FMUs of a process want one
+_one_at_a_time = threading.Lock()  # a Dask worker may have several threads, but FMUs are not thread-safe
 
 
 def batch(token: str, job: SweepJob, points: Sequence[DesignPoint], stop_at_failure: bool) -> list[PointResult]:
     """Run each, unless its record exists, verified and complete; those after an interruption are left out.
 
-    token: of the process that asks, by which `interrupt` ends its runs.
+    token: of the process that asks for them, see `interrupt`.
     """
     interrupt = _interrupts.setdefault(token, Interrupt())
-    shelf, storage = fmu_cache.shelf(), Storage(job.folder)
+    storage = Storage(job.folder)
     results: list[PointResult] = []
     for point in points:
         if interrupt.is_set():
@@ -62,10 +63,10 @@ def batch(token: str, job: SweepJob, points: Sequence[DesignPoint], stop_at_fail
         began = time.perf_counter()
         try:
             with _one_at_a_time:
-                result = _run(job, point, shelf, storage, interrupt)
+                result = _run(job, point, fmu_cache.of_this_process(), storage, interrupt)
         except KeyboardInterrupt:
             break
-        except OrchError as error:  # this draw cannot run, or its record cannot be written
+        except OrchError as error:  # this run cannot start, or its record cannot be written
             result = PointResult(point.index, status=FAILED, error=" ".join(str(error).split()))
         if result.status == "interrupted":
             break
@@ -80,10 +81,8 @@ def interrupt(token: str) -> None:
     _interrupts.setdefault(token, Interrupt()).set()
 
 
-def _run(
-    job: SweepJob, point: DesignPoint, shelf: fmu_cache.Shelf, storage: Storage, interrupt: Interrupt
-) -> PointResult:
-    plan = plan_of(job, point, shelf, storage)
+def _run(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage, interrupt: Interrupt) -> PointResult:
+    plan = plan_of(job, point, cache, storage)
     run_id = plan.digest[:ID_LENGTH]
     name = f"{run_id}.h5"
     if storage.exists(name):
@@ -92,27 +91,27 @@ def _run(
             return PointResult(point.index, run_id, COMPLETED, metrics=metrics, fresh=False)
     known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
     with storage.scratch(name) as path:
-        done = perform(plan, path, job.keep, known, interrupt, shelf)
-        if done.status != "interrupted":
+        record = perform(plan, path, job.keep, known, interrupt, cache)
+        if record.outcome.status != "interrupted":
             storage.put(path, name)
-    return PointResult(point.index, run_id, done.status, done.error, finite(done.metrics))
+    return PointResult(point.index, run_id, record.outcome.status, record.outcome.error, finite(record.metrics))
 
 
-def plan_of(job: SweepJob, point: DesignPoint, shelf: fmu_cache.Shelf, storage: Storage) -> Plan:
+def plan_of(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage) -> Plan:
     """The plan of a run, made of the sweep's own FMUs under the names that the experiment gives them."""
     experiment = job.experiment(point)
-    places = {c.name: str(shelf.fmu(storage, job.fmus[c.fmu])) for c in experiment.components if c.fmu}
+    places = {c.name: str(cache.fmu(storage, job.fmus[c.fmu])) for c in experiment.components if c.fmu}
     fetched = tuple(replace(c, fmu=places.get(c.name, c.fmu)) for c in experiment.components)
-    plan = resolve(replace(experiment, components=fetched), {}, {}, shelf.read)
+    plan = resolve(replace(experiment, components=fetched), {}, {}, cache.read)
     names = {c.name: c.fmu for c in experiment.components}
     components = tuple(replace(component, fmu_name=names[component.name]) for component in plan.components)
     return replace(plan, experiment=experiment, components=components)
 
 
 def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
-    """The metrics of a record that is complete and of this very run, with these metrics and rows; else None.
+    """The metrics of a record that is complete, of this very run, and with these metrics and rows; else None.
 
-    All rows are read, and so checked by HDF5's checksums.
+    All rows are read, so that HDF5 verifies their checksums.
     """
     try:
         with storage.opened(name) as opened, h5py.File(opened, "r", **_lockless(opened)) as file:
@@ -124,7 +123,7 @@ def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[s
             rows = len(file["time"])
             if rows != rows_of(plan, keep, facts.get("stopped_at")):
                 return None
-            ends = [name.partition(".")[::2] for name in Record(Path(name), file).signals]
+            ends = [name.partition(".")[::2] for name in Run(Path(name), file).signals]
             if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
                 return None
             metrics: dict[str, float | None] = json.loads(facts["metrics"])
@@ -143,5 +142,5 @@ def _as_json(value: Any) -> Any:
 
 @functools.cache
 def _here() -> dict[str, str]:
-    """What the records of this process have in common."""
+    """Root attributes that the records of this process share."""
     return {"versions": json.dumps(versions()), "platform": platform.platform()}

@@ -1,7 +1,7 @@
-"""Statistics of a sweep: each contender by itself, and every two of them on the draws that both completed.
+"""Statistics of a sweep: of each contender, and of every pair of them on the draws that both completed.
 
-Means have 95 % bootstrap intervals (BCa; Efron, 1987).  Two contenders are compared draw by draw with Wilcoxon's
-signed-rank test (ties of zero as in Pratt, 1959), and the p-values of all comparisons of the table are corrected
+Means have 95 % bootstrap intervals (BCa; Efron, 1987).  Pairs are compared draw by draw with Wilcoxon's signed-rank
+test (differences of zero as in Pratt, 1959), and the p-values of all comparisons of the table are corrected
 together (Holm, 1979).  The effect size is the matched-pairs rank-biserial correlation (Kerby, 2014): +1 where the first
 is larger in every draw, -1 where it is smaller in every one.
 """
@@ -13,29 +13,28 @@ import itertools
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from ....arrays import Reals
 from ....errors import OrchError, StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
 from ..engine.storage import MISSING
 from ..engine.table import SweepTable
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
 RESAMPLES = 2000
-SEED = 20_191_104  # of the resampling: the same table gives the same intervals
-LEVEL = 0.05  # at which a difference is called one
+SEED = 20_191_104  # of the resampling, so that the same table gives the same intervals
+LEVEL = 0.05  # of significance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ContenderSummary:
-    """One contender and one metric, in its unit.  n: completed runs with a number; low, high: of the mean, 95 %."""
+    """One contender and one metric, in its unit.
+
+    n: completed runs with a number; low, high: the 95 % interval of the mean.
+    """
 
     contender: str
     metric: Column
@@ -47,10 +46,13 @@ class ContenderSummary:
     high: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PairComparison:
-    """Two contenders and one metric, on the n draws that both completed.  difference: the mean of first - second, with
-    its 95 % interval; p: of Wilcoxon's test; p_holm: corrected; effect: rank-biserial, -1 .. 1."""
+    """Two contenders and one metric, on the n draws that both completed.
+
+    difference: the mean of first - second; low, high: its 95 % interval; p: of Wilcoxon's test; p_holm: corrected;
+    effect: the rank-biserial correlation, -1 .. 1.
+    """
 
     first: str
     second: str
@@ -65,16 +67,19 @@ class PairComparison:
 
     @property
     def smaller(self) -> str:
-        """The contender whose metric is smaller, where the difference is one at LEVEL; else ""."""
+        """The contender whose metric is smaller, where the difference is significant at LEVEL; else ""."""
         if not self.p_holm < LEVEL or self.effect == 0.0:
             return ""
         return self.first if self.effect < 0 else self.second
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SweepAnalysis:
-    """by: what tells the contenders apart, its cells being in the columns `keys`; contenders: their names, in the order
-    of the file; failures: of each, the runs without a completed record."""
+    """The statistics of one table.
+
+    by: what tells the contenders apart; keys: the columns that hold it; contenders: their names, in the order of the
+    file; failures: of each, the runs without a completed record; names: of the contenders, by their cells.
+    """
 
     table: SweepTable
     by: str
@@ -85,7 +90,7 @@ class SweepAnalysis:
     pairs: list[PairComparison]
     failures: dict[str, int]
     notes: list[str]
-    names: dict[tuple[str, ...], str]  # of the contenders, by their cells
+    names: dict[tuple[str, ...], str]
 
     def contender_of(self, row: dict[str, Any]) -> str:
         return self.names[_cells(row, self.keys)]
@@ -94,15 +99,16 @@ class SweepAnalysis:
         return [s for s in self.summaries if s.metric == metric]
 
     def best(self, metric: Column) -> str:
-        """The contender whose mean is nearest to zero; "" where nothing is best."""
+        """The contender whose mean is nearest to zero; "" where the metric has no best value, or no two have one."""
         numbers = [s for s in self.of(metric) if math.isfinite(s.mean)]
         return min(numbers, key=lambda s: abs(s.mean)).contender if metric.ranked and len(numbers) > 1 else ""
 
 
 def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> SweepAnalysis:
-    """globs: over names of metrics; none chooses all.  by: the list whose values compete, by default the first one.
+    """The statistics of a sweep's table.
 
-    Raises StoreError where a glob or `by` fits nothing, OrchError without scipy.
+    globs: over names of metrics; none chooses all.  by: the list whose values compete, by default the first one.
+    Raises StoreError where a glob or `by` matches nothing, OrchError where scipy is not installed.
     """
     columns = _columns(table, globs)
     group = _group(table, by)
@@ -129,19 +135,30 @@ def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> Sweep
     short = len({cells[:1] for cells in names}) == len(names)  # the first key of a zipped group may be enough
     by = " + ".join(table.labels[key] for key in group[: 1 if short else None]) or "runs"
     notes = _notes(failures, table)
-    return SweepAnalysis(table, by, group, contenders, columns, summaries, _corrected(pairs), failures, notes, names)
+    return SweepAnalysis(
+        table=table,
+        by=by,
+        keys=group,
+        contenders=contenders,
+        columns=columns,
+        summaries=summaries,
+        pairs=_corrected(pairs),
+        failures=failures,
+        notes=notes,
+        names=names,
+    )
 
 
 def _columns(table: SweepTable, globs: Sequence[str]) -> list[Column]:
     names = [column.name for column in table.columns]
     for pattern in globs:
         if not fnmatch.filter(names, pattern):
-            raise StoreError(f"no metric of this sweep fits {pattern!r}{did_you_mean(pattern, names, 'there are')}")
+            raise StoreError(f"no metric of this sweep matches {pattern!r}{did_you_mean(pattern, names, 'there are')}")
     return [c for c in table.columns if not globs or any(fnmatch.fnmatchcase(c.name, pattern) for pattern in globs)]
 
 
 def _group(table: SweepTable, by: str) -> list[str]:
-    """The keys whose values tell the contenders apart; none where nothing was listed."""
+    """The keys whose values tell the contenders apart; none where the sweep has no list."""
     if not by:
         return table.groups[0] if table.groups else []
     known = {name: keys for keys in table.groups for key in keys for name in (key, table.labels[key])}
@@ -155,35 +172,51 @@ def _cells(row: dict[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
 
 
 def _names(table: SweepTable, group: list[str]) -> dict[tuple[str, ...], str]:
-    """{cells of the group: name of the contender}: the first cell, with the others where that alone is not enough."""
-    found = list(dict.fromkeys(_cells(row, group) for row in table.rows))
+    """{cells of the group: name of the contender}, the first cell, or all where two contenders share the first one."""
+    different = list(dict.fromkeys(_cells(row, group) for row in table.rows))
     if not group:
         return {(): table.description["experiment"]}
-    short = [cells[0] for cells in found]
-    return dict(zip(found, short if len(set(short)) == len(short) else [", ".join(c) for c in found], strict=True))
+    short = [cells[0] for cells in different]
+    names = short if len(set(short)) == len(short) else [", ".join(cells) for cells in different]
+    return dict(zip(different, names, strict=True))
 
 
 def _summary(contender: str, metric: Column, values: dict[Any, float]) -> ContenderSummary:
-    x = np.array([values[pair] for pair in sorted(values, key=repr)])
-    if not len(x):
-        return ContenderSummary(contender, metric, 0, *[math.nan] * 5)
-    low, high = _interval(x)
-    std = float(x.std(ddof=1)) if len(x) > 1 else math.nan
-    return ContenderSummary(contender, metric, len(x), float(x.mean()), std, float(np.median(x)), low, high)
+    x: Reals = np.array([values[pair] for pair in sorted(values, key=repr)])
+    n, (low, high) = len(x), _interval(x)
+    return ContenderSummary(
+        contender=contender,
+        metric=metric,
+        n=n,
+        mean=float(x.mean()) if n else math.nan,
+        std=float(x.std(ddof=1)) if n > 1 else math.nan,
+        median=float(np.median(x)) if n else math.nan,
+        low=low,
+        high=high,
+    )
 
 
 def _pair(first: str, second: str, metric: Column, one: dict[Any, float], other: dict[Any, float]) -> PairComparison:
     shared = sorted(one.keys() & other.keys(), key=repr)
-    d = np.array([one[pair] - other[pair] for pair in shared])
-    if not len(d):
-        return PairComparison(first, second, metric, 0, *[math.nan] * 6)
-    low, high = _interval(d)
-    p, effect = _wilcoxon(d)
-    return PairComparison(first, second, metric, len(d), float(d.mean()), low, high, p, math.nan, effect)
+    d: Reals = np.array([one[pair] - other[pair] for pair in shared])
+    n, (low, high) = len(d), _interval(d)
+    p, effect = _wilcoxon(d) if n else (math.nan, math.nan)
+    return PairComparison(
+        first=first,
+        second=second,
+        metric=metric,
+        n=n,
+        difference=float(d.mean()) if n else math.nan,
+        low=low,
+        high=high,
+        p=p,
+        p_holm=math.nan,
+        effect=effect,
+    )
 
 
-def _interval(x: Array) -> tuple[float, float]:
-    """Of the mean, 95 %."""
+def _interval(x: Reals) -> tuple[float, float]:
+    """The 95 % interval of the mean of x (N,)."""
     stats = _stats()
     if len(x) < 2:
         return math.nan, math.nan
@@ -191,12 +224,12 @@ def _interval(x: Array) -> tuple[float, float]:
         return float(x[0]), float(x[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a degenerate distribution gives nan, which is shown
-        found = stats.bootstrap((x,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(SEED), method="BCa")
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+        result = stats.bootstrap((x,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(SEED), method="BCa")
+    return float(result.confidence_interval.low), float(result.confidence_interval.high)
 
 
-def _wilcoxon(d: Array) -> tuple[float, float]:
-    """p, two-sided, and the rank-biserial correlation of paired differences."""
+def _wilcoxon(d: Reals) -> tuple[float, float]:
+    """The two-sided p-value and the rank-biserial correlation of paired differences d (N,)."""
     stats = _stats()
     if not d.any():
         return 1.0, 0.0
@@ -210,22 +243,19 @@ def _wilcoxon(d: Array) -> tuple[float, float]:
 
 def _corrected(pairs: Sequence[PairComparison]) -> list[PairComparison]:
     """Holm's step-down correction over all comparisons that have a p-value."""
-    from dataclasses import replace
-
     order = sorted((i for i, pair in enumerate(pairs) if math.isfinite(pair.p)), key=lambda i: pairs[i].p)
-    found, largest = list(pairs), 0.0
+    corrected, largest = list(pairs), 0.0
     for rank, i in enumerate(order):
         largest = max(largest, min(1.0, (len(order) - rank) * pairs[i].p))
-        found[i] = replace(pairs[i], p_holm=largest)
-    return found
+        corrected[i] = replace(pairs[i], p_holm=largest)
+    return corrected
 
 
 def _notes(failures: dict[str, int], table: SweepTable) -> list[str]:
     missing = sum(row["status"] == "missing" for row in table.rows)
     notes = [f"{missing} of {len(table.rows)} runs are missing: run the sweep again to complete it"] if missing else []
-    told = ", ".join(f"{name} {n}" for name, n in failures.items() if n)
-    if told:
-        notes.append(f"runs without a completed record, left out of the statistics: {told}")
+    if counts := ", ".join(f"{name} {n}" for name, n in failures.items() if n):
+        notes.append(f"runs without a completed record, left out of the statistics: {counts}")
     return notes
 
 
@@ -238,6 +268,8 @@ def _stats() -> Any:
 
 
 def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
+    """The statistics, as JSON can hold them."""
+
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
 

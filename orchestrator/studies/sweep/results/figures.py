@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....arrays import Reals
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
 from ....views import figures
@@ -24,11 +25,14 @@ PANEL = 3.6, 2.8  # inches
 ACROSS = 3  # panels beside each other
 BINS = 6  # of a factor of a heat map that has more values
 
+Bins = tuple[Callable[[str], int], list[str]]  # which bin a cell of the table falls into, and the names of all
+
 
 def draw(analysis: SweepAnalysis, target: Path, kind: str = "box", over: Sequence[str] = ()) -> None:
-    """Write a figure: PNG, PDF or SVG.  over: the two factors of a heat map, by default the first two that were drawn.
+    """Write a figure: PNG, PDF or SVG.
 
-    Raises StoreError where the file cannot be written, or a factor is none.
+    kind: box, violin, ecdf, heatmap or parallel.  over: the two factors of a heat map, by default the first two that
+    have a distribution.  Raises StoreError where the file cannot be written, or nothing of a factor's name varies.
     """
     figures.save(figure(analysis, kind, over), target)
 
@@ -46,19 +50,19 @@ def figure(analysis: SweepAnalysis, kind: str = "box", over: Sequence[str] = ())
     n = len(analysis.columns)
     across = min(ACROSS, n)
     down = -(-n // across)
-    found = Figure(figsize=(PANEL[0] * across, PANEL[1] * down), layout="constrained")
-    axes = found.subplots(down, across, squeeze=False).flat
+    drawn = Figure(figsize=(PANEL[0] * across, PANEL[1] * down), layout="constrained")
+    axes = drawn.subplots(down, across, squeeze=False).flat
     for axis, column in zip(axes, analysis.columns, strict=False):
         panel(axis, analysis, column)
     for axis in list(axes)[n:]:
         axis.set_visible(False)
-    return found
+    return drawn
 
 
-def values(analysis: SweepAnalysis, contender: str, column: Column) -> Any:
-    """The metric of a contender's completed runs, (N,), without those that have no number."""
-    found = np.array([row[column.name] for row in rows_of(analysis, contender)])
-    return found[np.isfinite(found)]
+def values(analysis: SweepAnalysis, contender: str, column: Column) -> Reals:
+    """The metric of a contender's completed runs that have a number, (N,)."""
+    numbers: Reals = np.array([row[column.name] for row in rows_of(analysis, contender)])
+    return numbers[np.isfinite(numbers)]
 
 
 def rows_of(analysis: SweepAnalysis, contender: str) -> list[dict[str, Any]]:
@@ -116,12 +120,12 @@ def _factors(table: SweepTable, over: Sequence[str]) -> tuple[str, str]:
 
 
 def _heatmaps(analysis: SweepAnalysis, one: str, other: str) -> Figure:
-    """Medians in cells: a line of panels a metric, a panel a contender."""
+    """Medians in cells: a row of panels for each metric, a panel for each contender."""
     from matplotlib.figure import Figure
 
     down, across = len(analysis.columns), len(analysis.contenders)
-    found = Figure(figsize=(1 + 2.4 * across, 0.6 + 2.3 * down), layout="constrained")
-    axes = found.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    drawn = Figure(figsize=(1 + 2.4 * across, 0.6 + 2.3 * down), layout="constrained")
+    axes = drawn.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     labels, rows = analysis.table.labels, analysis.table.completed
     sorts = [_bins([row[key] for row in rows]) for key in (one, other)]
     for i, column in enumerate(analysis.columns):
@@ -135,12 +139,12 @@ def _heatmaps(analysis: SweepAnalysis, one: str, other: str) -> Figure:
             if i == down - 1:
                 axis.set_xlabel(labels[one], fontsize=8)
         axes[i][0].set_ylabel(labels[other], fontsize=8)
-        found.colorbar(image, ax=list(axes[i]), label=f"median {column.head}")
-    return found
+        drawn.colorbar(image, ax=list(axes[i]), label=f"median {column.head}")
+    return drawn
 
 
-def _bins(texts: Sequence[str]) -> tuple[Callable[[str], int], list[str]]:
-    """Which bin a cell of the table falls into, and the names of the bins: equal widths where numbers are many."""
+def _bins(texts: Sequence[str]) -> Bins:
+    """The bin of each cell of the table, and the names of the bins; of equal width where there are many numbers."""
     different = sorted(set(texts), key=_number)
     if len(different) <= BINS or any(math.isnan(_number(text)) for text in different):
         return different.index, different
@@ -156,26 +160,26 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _cells(rows: Sequence[dict[str, Any]], column: Column, keys: tuple[str, str], sorts: Sequence[Any]) -> Any:
-    """Medians, (bins of the second factor, bins of the first); nan where there is no run."""
-    found: dict[tuple[int, int], list[float]] = {}
+def _cells(rows: Sequence[dict[str, Any]], column: Column, keys: tuple[str, str], sorts: Sequence[Bins]) -> Reals:
+    """Medians, (bins of the second factor, bins of the first); nan where no run falls into a cell."""
+    by_cell: dict[tuple[int, int], list[float]] = {}
     for row in rows:
         if math.isfinite(row[column.name]):
             place = sorts[1][0](row[keys[1]]), sorts[0][0](row[keys[0]])
-            found.setdefault(place, []).append(row[column.name])
+            by_cell.setdefault(place, []).append(row[column.name])
     cells = np.full((len(sorts[1][1]), len(sorts[0][1])), np.nan)
-    for place, numbers in found.items():
+    for place, numbers in by_cell.items():
         cells[place] = np.median(numbers)
     return cells
 
 
-def _range(numbers: Any) -> tuple[float, float]:
+def _range(numbers: Reals) -> tuple[float, float]:
     finite = numbers[np.isfinite(numbers)]
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
 
 def _parallel(analysis: SweepAnalysis) -> Figure:
-    """A line a run through its factors and metrics, each axis scaled to what it holds."""
+    """A line for each run through its factors and metrics, each axis scaled to its values."""
     from matplotlib.figure import Figure
 
     table = analysis.table
@@ -193,8 +197,8 @@ def _parallel(analysis: SweepAnalysis) -> Figure:
     }
     everything = np.concatenate(list(data.values()))
     ranges = [_range(everything[:, i]) for i in range(len(names))]
-    found = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
-    axis = found.subplots()
+    drawn = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
+    axis = drawn.subplots()
     for i, (contender, lines) in enumerate(data.items()):
         for k, line in enumerate(lines):
             scaled = [(v - low) / (high - low or 1.0) for v, (low, high) in zip(line, ranges, strict=True)]
@@ -204,4 +208,4 @@ def _parallel(analysis: SweepAnalysis) -> Figure:
     axis.set_yticks([])
     for handle in axis.legend(fontsize=8).get_lines():
         handle.set_alpha(1.0)
-    return found
+    return drawn

@@ -1,4 +1,4 @@
-"""A sweep as one HTML file that needs no network: its tables, its figures, and how it was made."""
+"""A sweep as one HTML file that needs no network: its statistics, its figures, and how it was made."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ figure svg {{ max-width: 100%; height: auto; background: white; }}
 
 
 def write(analysis: SweepAnalysis, target: Path) -> Path:
-    """Raises StoreError where the file cannot be written."""
+    """Write the page.  Raises StoreError where the file cannot be written."""
     table = analysis.table
     drawn = table.description["distributions"]
     kinds = [kind for kind in KINDS if kind != "heatmap" or len(table.keys) > 1]

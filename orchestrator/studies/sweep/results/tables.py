@@ -1,4 +1,4 @@
-"""An analysis as text: for the terminal, and as Markdown, CSV, LaTeX and HTML."""
+"""The statistics as text: for the terminal, and as Markdown, CSV, LaTeX and HTML."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from dataclasses import dataclass
 from html import escape
 
 from ....records.compare.side_by_side import digits
-from ....views.tables import latex, terminal
+from ....views.tables import latex
+from ....views.tables.terminal import columns_of
 from .analysis import LEVEL, ContenderSummary, PairComparison, SweepAnalysis
 
 NO_NUMBER = "-"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TextTable:
-    """A table of text.  left: how many columns are words; bold: rows whose first number is the best."""
+    """A table of text.  left: how many columns hold words; bold: rows whose mean is the best."""
 
     title: str
     head: list[str]
@@ -28,20 +29,20 @@ class TextTable:
 
 
 def text_tables(analysis: SweepAnalysis, pairs: bool = True) -> list[TextTable]:
-    """The contenders by themselves, and two by two."""
+    """Each contender, and each pair of them."""
     tables = [
         TextTable(
-            "",
-            ["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
-            [_summary(s) for s in analysis.summaries],
-            2,
-            [analysis.best(s.metric) == s.contender for s in analysis.summaries],
+            title="",
+            head=["metric", analysis.by, "n", "mean", "95 % interval", "std", "median"],
+            rows=[_summary(s) for s in analysis.summaries],
+            left=2,
+            bold=[analysis.best(s.metric) == s.contender for s in analysis.summaries],
         )
     ]
     if pairs and analysis.pairs:
         head = ["metric", "first", "second", "n", "first - second", "95 % interval", "p (Holm)", "effect", "smaller"]
         rows = [_pair(p) for p in analysis.pairs]
-        tables.append(TextTable("Draw by draw", head, rows, 3, [False] * len(rows)))
+        tables.append(TextTable(title="Draw by draw", head=head, rows=rows, left=3, bold=[False] * len(rows)))
     return tables
 
 
@@ -86,7 +87,7 @@ def _probability(p: float) -> str:
 
 
 def legend(analysis: SweepAnalysis, pairs: bool = True) -> list[str]:
-    """What the columns are, and what weakens them."""
+    """What the columns mean, and what limits them."""
     table = analysis.table
     lines = [
         f"sweep {table.sweep_id}: {table.description['draws']} draws ({table.description['design']}, seed "
@@ -104,12 +105,11 @@ def table(analysis: SweepAnalysis, pairs: bool = True) -> str:
     blocks = []
     for shown in text_tables(analysis, pairs):
         rows = [
-            [terminal.tied(f"{cell}*" if bold and i == 3 else cell) for i, cell in enumerate(row)]
+            tuple(f"{cell}*" if bold and i == 3 else cell for i, cell in enumerate(row))
             for row, bold in zip(shown.rows, shown.bold, strict=True)
         ]
-        lines = terminal.table([shown.head, *rows], names=shown.left)
-        blocks.append("\n".join([*([shown.title] if shown.title else []), *lines]))
-    return "\n\n".join([*blocks, "\n".join(map(terminal.wrapped, legend(analysis, pairs)))])
+        blocks.append("\n".join([*([shown.title] if shown.title else []), *columns_of([tuple(shown.head), *rows])]))
+    return "\n\n".join([*blocks, "\n".join(legend(analysis, pairs))])
 
 
 def markdown(analysis: SweepAnalysis, pairs: bool = True) -> str:
@@ -157,7 +157,7 @@ def _row(cells: Sequence[str], bold: bool) -> str:
 
 
 def csv_text(analysis: SweepAnalysis, pairs: bool = True) -> str:
-    """In full precision: one line a contender and metric, then one a pair and metric."""
+    """In full precision: a line for each contender and metric, then one for each pair and metric."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["metric", "unit", "contender", "n", "mean", "low", "high", "std", "median"])

@@ -1,0 +1,1 @@
+"""The search for the parameters of controllers, on equal budgets."""

@@ -1,6 +1,6 @@
 """Searches the parameters of each controller with optuna: the same number of trials, the same draws, the same seeds.
 
-At the end the tuned and the default parameters meet in an ordinary sweep on draws that no trial has seen.
+At the end an ordinary sweep compares the tuned and the default parameters on draws that no trial has seen.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ....errors import ExperimentError, OrchError, StoreError
+from ....experiment import toml
 from ....experiment.experiment import Experiment
 from ....experiment.sweep import SweepSpec
 from ....experiment.sweep import read as read_sweep
 from ....experiment.tune import Space, TuneSpec
 from ....experiment.tune import read as read_tune
+from ....files import write_text
 from ....records.file.provenance import git_commit
 from ....runs.prepare import load_experiment
 from ....simulation.observer import Interrupt, interruptible
@@ -32,7 +34,10 @@ from ..engine.storage import Storage
 from ..engine.worker import PointResult
 from .trials import ControllerSearch, TunedController
 
-FOLDER = "_tune"  # in the store, which ignores it: thousands of runs that nobody looks for
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+FOLDER = "_tune"  # in the store, whose lists leave out such names: thousands of runs of no interest by themselves
 MISSING = 'tuning needs optuna; pip install "orch[sweep,tune]"'
 
 TrialEnded = Callable[[str, int, int, float], None]  # controller, trials that ended, of how many, the best objective
@@ -81,7 +86,7 @@ def tune(
         engine.lay_out(trials, storage)
         with cluster.client(scheduler, workers) as client:
             if scheduler is None:
-                client.run(cluster.deaf)
+                client.run(cluster.ignore_ctrl_c)
             tuned = _search(client, job, trials, spec, folder, pressed, trial_ended, report)
     if pressed.is_set():
         return TuneResult(tune_id, folder, tuned, None)
@@ -140,7 +145,7 @@ def _identity(trials: PreparedSweep, spec: TuneSpec) -> str:
 
 
 def _search(
-    client: Any,
+    client: Client,
     job: SweepJob,
     prepared: PreparedSweep,
     spec: TuneSpec,
@@ -149,7 +154,7 @@ def _search(
     trial_ended: TrialEnded,
     report: Callable[[str], None],
 ) -> list[TunedController]:
-    """All controllers at once, each a sequence of trials."""
+    """Search all controllers at once, each in a sequence of trials."""
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
@@ -161,7 +166,7 @@ def _search(
     asking = {fmu: search.run() for fmu, search in searches.items()}
     asked = {fmu: next(generator, None) for fmu, generator in asking.items()}
     answers: dict[str, dict[int, PointResult]] = {fmu: {} for fmu in searches}
-    submitted: dict[Any, tuple[str, DesignPoint]] = {}
+    submitted: dict[Future[list[PointResult]], tuple[str, DesignPoint]] = {}
 
     def submit(fmu: str) -> None:
         for point in asked[fmu] or ():
@@ -197,45 +202,24 @@ def _search(
 
 def _write(folder: Path, spec: TuneSpec, tuned: list[TunedController]) -> None:
     """A fragment for each controller's experiment, and one for a sweep of all."""
-    for one in tuned:
-        lines = [
-            f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}.",
-            f"[components.{spec.component}]",
-            f"fmu = {json.dumps(one.fmu)}",
-            f"parameters = {_toml(one.parameters)}",
-        ]
-        _save(folder / f"{Path(one.fmu).stem}.toml", lines)
     key = f"components.{spec.component}"
-    _save(
-        folder / "tuned.toml",
-        [
-            "# Tuned by orch: each controller with its parameters, to be swept.",
-            "[sweep]",
-            f'zip = [["{key}.fmu", "{key}.parameters"]]',
-            "",
-            "[sweep.vary]",
-            f'"{key}.fmu" = {_toml([one.fmu for one in tuned])}',
-            f'"{key}.parameters" = [',
-            *(f"    {_toml(one.parameters)}," for one in tuned),
-            "]",
-        ],
-    )
+    for one in tuned:
+        remark = f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}.\n"
+        table = {"components": {spec.component: {"fmu": one.fmu, "parameters": one.parameters}}}
+        write_text(folder / f"{Path(one.fmu).stem}.toml", remark + toml.write(table))
+    lines = [
+        "# Tuned by orch: each controller with its parameters, for a sweep.",
+        "[sweep]",
+        f'zip = [["{key}.fmu", "{key}.parameters"]]',
+        "",
+        "[sweep.vary]",
+        f'"{key}.fmu" = {toml.inline([one.fmu for one in tuned])}',
+        f'"{key}.parameters" = [',
+        *(f"    {toml.inline(one.parameters)}," for one in tuned),
+        "]",
+    ]
+    write_text(folder / "tuned.toml", "\n".join(lines) + "\n")
 
 
 def _objective(spec: TuneSpec) -> str:
     return " + ".join(name if w == 1.0 else f"{w:g} {name}" for name, w in spec.objective.items())
-
-
-def _save(path: Path, lines: list[str]) -> None:
-    try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written: {error.strerror}") from None
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -26,7 +26,7 @@ STARTUP = 5  # trials at random before the sampler learns from them
 Asking = Generator[list[DesignPoint], dict[int, PointResult], None]  # yields runs, is sent how they ended
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TunedController:
     """What came of one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
 
@@ -125,12 +125,12 @@ class ControllerSearch:
         best = self._study.best_trial if complete else None
         first = next((t for t in complete if self._defaults and t.params == self._defaults), None)
         return TunedController(
-            self._fmu,
-            dict(best.params) if best else {},
-            float(first.value) if first else math.nan,
-            self.best,
-            self.ended,
-            self.ended - len(complete),
+            fmu=self._fmu,
+            parameters=dict(best.params) if best else {},
+            default=float(first.value) if first else math.nan,
+            best=self.best,
+            trials=self.ended,
+            pruned=self.ended - len(complete),
         )
 
 

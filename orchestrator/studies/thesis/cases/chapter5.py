@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ TIME_BASES = (3, 5, 7)  # s
 QUICK_STEP = 4e-5  # s, of the spirals under MFSOSMC with --quick; their files have 0.02 ms
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Case:
     """One run: an experiment file, and what is changed in it.
 
@@ -59,8 +59,7 @@ class Case:
         """The same at a coarser step, where that saves time."""
         if self.controller != "mfsosmc" or self.task != "spiral":
             return self
-        sets = {**self.sets, "master.step": QUICK_STEP}
-        return Case(self.name, self.task, self.controller, self.currents, self.t_b, sets)
+        return replace(self, sets={**self.sets, "master.step": QUICK_STEP})
 
 
 def thesis_folder() -> Path:
@@ -75,12 +74,20 @@ def _cases() -> dict[str, Case]:
     spirals: list[tuple[str, int | None]] = [("pid", None), ("feedback_linearization", None), ("lyapunov", None)]
     spirals += [("mfsosmc", t_b) for t_b in TIME_BASES]
     found = [
-        Case(case_name("spiral", controller, currents, t_b), "spiral", controller, currents, t_b)
+        Case(
+            name=case_name("spiral", controller, currents, t_b),
+            task="spiral",
+            controller=controller,
+            currents=currents,
+            t_b=t_b,
+        )
         for currents in (False, True)
         for controller, t_b in spirals
     ]
     found += [
-        Case(case_name("gripping", controller, currents), "gripping", controller, currents)
+        Case(
+            name=case_name("gripping", controller, currents), task="gripping", controller=controller, currents=currents
+        )
         for currents in (False, True)
         for controller in ("mfsosmc", "nstsmc", "ftsosmc")
     ]

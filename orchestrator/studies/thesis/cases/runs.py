@@ -20,7 +20,7 @@ from .chapter5 import CASES, Case
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CaseRecord:
     """A case that has run.  metrics: those of its experiment file."""
 
@@ -66,4 +66,6 @@ def _record(case: Case, plan: Plan, store: Store) -> CaseRecord:
         raise RunError(f"{case.key}: its run completed, but the store has no record of it")
     with Run(path) as run:
         warnings = tuple(run.attributes["warnings"])
-        return CaseRecord(case, plan, path, metrics.evaluate(run, plan.experiment.metrics), warnings)
+        return CaseRecord(
+            case=case, plan=plan, path=path, metrics=metrics.evaluate(run, plan.experiment.metrics), warnings=warnings
+        )

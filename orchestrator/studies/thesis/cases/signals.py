@@ -17,7 +17,7 @@ DEGREES = np.array([1.0, 1.0, 1.0, 180 / math.pi, 180 / math.pi, 180 / math.pi])
 AXES = ("x", "y", "z", "phi", "theta", "psi")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Track:
     """What one vehicle did.  time: (N,) [s]; every other array (N, 6)."""
 

@@ -32,7 +32,7 @@ GRIPPING_STATES = (
 GRIPPING_ERRORS = ("x", "y", "z", "phi", "psi")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ThesisFigure:
     """One figure.
 
@@ -57,7 +57,7 @@ def _figures() -> dict[str, ThesisFigure]:
     found: list[ThesisFigure] = []
 
     def add(title: str, kind: str, cases: tuple[str, ...], **options: str) -> None:
-        found.append(ThesisFigure(f"5.{len(found) + 1}", title, kind, cases, options))
+        found.append(ThesisFigure(number=f"5.{len(found) + 1}", title=title, kind=kind, cases=cases, options=options))
 
     for case, controller in TITLES.items():
         for kind, option, title in PER_CONTROLLER:

@@ -9,7 +9,7 @@ from typing import Any
 HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Claim:
     """One statement of the thesis, in our words.
 

@@ -51,12 +51,12 @@ def _at_base(section: str, where: str, pair: tuple[Track, Track], figures: tuple
             left[f"{axis}{k}"] = _peak(track.of(axis)[after]) / start
     worst = max(left, key=lambda name: left[name])
     return Claim(
-        section,
-        f"MFSOSMC converges at t_b = 6 s in every controlled axis of both vehicles{where}",
-        figures,
-        "error 0 from 6 s",
-        f"at most {100 * left[worst]:.2g} % of the initial error left ({worst})",
-        verdict(left[worst] <= 0.005),
+        section=section,
+        text=f"MFSOSMC converges at t_b = 6 s in every controlled axis of both vehicles{where}",
+        figures=figures,
+        published="error 0 from 6 s",
+        ours=f"at most {100 * left[worst]:.2g} % of the initial error left ({worst})",
+        verdict=verdict(left[worst] <= 0.005),
         gated=True,
     )
 
@@ -73,14 +73,14 @@ def _settled(section: str, where: str, runs: Pairs, figures: tuple[str, ...]) ->
         published = f"{limits[0]:g} s, {limits[1]:g} s" + (" (without current)" if where else "")
         found.append(
             Claim(
-                section,
-                f"{LABELS[controller]} converges within {limits[0]:g} s (vehicle 1) and {limits[1]:g} s "
+                section=section,
+                text=f"{LABELS[controller]} converges within {limits[0]:g} s (vehicle 1) and {limits[1]:g} s "
                 f"(vehicle 2){where}",
-                figures,
-                published,
-                f"within 5 % of the initial error (phi 1 deg) at {_times(times)}, within 1 % (0.2 deg) at "
+                figures=figures,
+                published=published,
+                ours=f"within 5 % of the initial error (phi 1 deg) at {_times(times)}, within 1 % (0.2 deg) at "
                 f"{_times(strict)}",
-                verdict(*parts),
+                verdict=verdict(*parts),
             )
         )
     return found
@@ -93,12 +93,12 @@ def _kept(section: str, where: str, runs: Pairs, figures: tuple[str, ...]) -> Cl
         for controller, pair in runs.items()
     }
     return Claim(
-        section,
-        f"All three controllers keep the position error near zero along the whole trajectory{where}",
-        figures[:3],
-        "a vicinity of 0",
-        f"largest after 12 s {listed(rest, '.2g', ' mm')}",
-        verdict(*(v < 10 for v in rest.values())),
+        section=section,
+        text=f"All three controllers keep the position error near zero along the whole trajectory{where}",
+        figures=figures[:3],
+        published="a vicinity of 0",
+        ours=f"largest after 12 s {listed(rest, '.2g', ' mm')}",
+        verdict=verdict(*(v < 10 for v in rest.values())),
     )
 
 
@@ -111,21 +111,21 @@ def _held(section: str, where: str, runs: Pairs, figures: tuple[str, str]) -> li
         name, band = LABELS[controller], HEADING[controller]
         found += [
             Claim(
-                section,
-                f"{name} keeps the vehicles 0.5 m apart from 12 s to 24 s{where}",
-                figures[:1],
-                "0.5 m",
-                f"{apart.min():.4f} to {apart.max():.4f} m",
-                verdict(_peak(apart - 0.5) <= DISTANCE),
+                section=section,
+                text=f"{name} keeps the vehicles 0.5 m apart from 12 s to 24 s{where}",
+                figures=figures[:1],
+                published="0.5 m",
+                ours=f"{apart.min():.4f} to {apart.max():.4f} m",
+                verdict=verdict(_peak(apart - 0.5) <= DISTANCE),
                 gated=True,
             ),
             Claim(
-                section,
-                f"{name} keeps the headings 180 deg apart from 12 s to 24 s{where}",
-                figures[1:],
-                "180 deg",
-                f"{turned.min():.3f} to {turned.max():.3f} deg",
-                verdict(_peak(turned - 180) <= band),
+                section=section,
+                text=f"{name} keeps the headings 180 deg apart from 12 s to 24 s{where}",
+                figures=figures[1:],
+                published="180 deg",
+                ours=f"{turned.min():.3f} to {turned.max():.3f} deg",
+                verdict=verdict(_peak(turned - 180) <= band),
                 gated=True,
             ),
         ]
@@ -145,30 +145,30 @@ def _theta_and_velocity(runs: Pairs) -> list[Claim]:
     linear, angular = max(o[:, :3].max() for o in off), max(o[:, [3, 5]].max() for o in off)
     return [
         Claim(
-            "5.3",
-            "Under MFSOSMC theta stays within 1 deg (vehicle 1) and 2 deg (vehicle 2)",
-            ("5.59", "5.60"),
-            "+-1, +-2 deg",
-            f"{one:.2f} and {two:.2f} deg until 30 s, on the way home {end[0]:.2f} and {end[1]:.2f} "
+            section="5.3",
+            text="Under MFSOSMC theta stays within 1 deg (vehicle 1) and 2 deg (vehicle 2)",
+            figures=("5.59", "5.60"),
+            published="+-1, +-2 deg",
+            ours=f"{one:.2f} and {two:.2f} deg until 30 s, on the way home {end[0]:.2f} and {end[1]:.2f} "
             f"deg; until 30 s {others}",
-            verdict(one <= 1, two <= 2),
+            verdict=verdict(one <= 1, two <= 2),
             gated=True,
         ),
         Claim(
-            "5.3",
-            "MFSOSMC's velocities have converged at 6 s",
-            ("5.61", "5.62", "5.63", "5.64"),
-            "at 6 s",
-            f"at most {linear:.2g} m/s and {angular:.2g} deg/s away from it on",
-            verdict(linear < 0.05, angular < 2),
+            section="5.3",
+            text="MFSOSMC's velocities have converged at 6 s",
+            figures=("5.61", "5.62", "5.63", "5.64"),
+            published="at 6 s",
+            ours=f"at most {linear:.2g} m/s and {angular:.2g} deg/s away from it on",
+            verdict=verdict(linear < 0.05, angular < 2),
         ),
         Claim(
-            "5.3",
-            "Headings are -90 and 90 deg from the start of the gripping",
-            ("5.65", "5.66"),
-            "-90, 90 deg",
-            ", ".join(f"{track.eta[int(abs(track.time - 12).argmin()), 5]:.2f} deg" for track in runs["mfsosmc"]),
-            verdict(*(_peak(track.of("psi")[track.time >= 12]) < 0.1 for track in runs["mfsosmc"])),
+            section="5.3",
+            text="Headings are -90 and 90 deg from the start of the gripping",
+            figures=("5.65", "5.66"),
+            published="-90, 90 deg",
+            ours=", ".join(f"{track.eta[int(abs(track.time - 12).argmin()), 5]:.2f} deg" for track in runs["mfsosmc"]),
+            verdict=verdict(*(_peak(track.of("psi")[track.time >= 12]) < 0.1 for track in runs["mfsosmc"])),
         ),
     ]
 
@@ -183,21 +183,21 @@ def _attitude(runs: Pairs) -> list[Claim]:
     theta = [_peak(track.eta[:, 4]) for track in runs["nstsmc"]]
     return [
         Claim(
-            "5.4",
-            "In the current NSTSMC's attitude degrades at the end",
-            ("5.77", "5.78"),
-            "they degrade",
-            f"its psi error grows from {held['NSTSMC']:.2f} deg (12-24 s) to {late['NSTSMC']:.2f} deg (from 30 s); "
-            f"theta of vehicle 2 reaches {theta[1]:.0f} deg",
-            verdict(late["NSTSMC"] > 2 * held["NSTSMC"]),
+            section="5.4",
+            text="In the current NSTSMC's attitude degrades at the end",
+            figures=("5.77", "5.78"),
+            published="they degrade",
+            ours=f"its psi error grows from {held['NSTSMC']:.2f} deg (12-24 s) to {late['NSTSMC']:.2f} deg "
+            f"(from 30 s); theta of vehicle 2 reaches {theta[1]:.0f} deg",
+            verdict=verdict(late["NSTSMC"] > 2 * held["NSTSMC"]),
         ),
         Claim(
-            "5.4",
-            "In the current MFSOSMC and FTSOSMC keep phi and psi at 0 after convergence",
-            ("5.77", "5.78"),
-            "0 deg",
-            f"psi after 30 s {listed(late, '.2g', ' deg')}; phi after 12 s {listed(phi, '.2g', ' deg')}",
-            verdict(late["MFSOSMC"] < 0.1, late["FTSOSMC"] < 0.1),
+            section="5.4",
+            text="In the current MFSOSMC and FTSOSMC keep phi and psi at 0 after convergence",
+            figures=("5.77", "5.78"),
+            published="0 deg",
+            ours=f"psi after 30 s {listed(late, '.2g', ' deg')}; phi after 12 s {listed(phi, '.2g', ' deg')}",
+            verdict=verdict(late["MFSOSMC"] < 0.1, late["FTSOSMC"] < 0.1),
         ),
     ]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ..cases.chapter5 import Case, case_name
 from .tables import metric_name, published
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)  # s
-BASE = Case(case_name("spiral", "mfsosmc", t_b=5), "spiral", "mfsosmc", currents=False, t_b=5)
+BASE = Case(name=case_name("spiral", "mfsosmc", t_b=5), task="spiral", controller="mfsosmc", currents=False, t_b=5)
 EXPLICIT = {"components.controller.parameters.semi_implicit": False}
 STUDY_STEM = "step_study"
 CAPTION = (
@@ -37,12 +38,7 @@ STUDIED = {
 
 def cases() -> list[Case]:
     """The runs of the study: each step with both integrals.  One of them is the case of the tables itself."""
-    found = []
-    for step in STEPS:
-        for form in ({}, EXPLICIT):
-            sets = {"master.step": step, **form}
-            found.append(Case(BASE.name, BASE.task, BASE.controller, BASE.currents, BASE.t_b, sets))
-    return found
+    return [replace(BASE, sets={"master.step": step, **form}) for step in STEPS for form in ({}, EXPLICIT)]
 
 
 def rows(metrics: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:

@@ -23,8 +23,8 @@ ZERO = 0.005  # deg; what is printed as 0 counts as met below this
 GRADES = (0.01, 0.05, 0.20)  # relative errors that the counts are given for
 
 
-@dataclass(frozen=True)
-class Cell:
+@dataclass(frozen=True, kw_only=True)
+class PublishedCell:
     """A published number, as experiments/thesis/published.csv has it.
 
     quantity: such as RMSE_x, RMS_T1, mean.  corrected: `printed` without the thesis's slips; `note` says why.
@@ -45,7 +45,7 @@ class Cell:
 class Verdict:
     """A published number beside ours."""
 
-    cell: Cell
+    cell: PublishedCell
     ours: float
 
     @property
@@ -76,19 +76,19 @@ class Verdict:
         )
 
 
-def published() -> list[Cell]:
+def published() -> list[PublishedCell]:
     """All published cells, in the tables' order."""
     with (thesis_folder() / "published.csv").open(encoding="utf-8", newline="") as file:
         return [
-            Cell(
-                row["table"],
-                case_name("spiral", row["controller"], row["current"] == "yes", int(row["t_b_s"] or 0) or None),
-                row["quantity"],
-                row["unit"],
-                float(row["printed"]),
-                float(row["corrected"]),
-                float(row["band"]) if row["band"] else None,
-                row["note"],
+            PublishedCell(
+                table=row["table"],
+                case=case_name("spiral", row["controller"], row["current"] == "yes", int(row["t_b_s"] or 0) or None),
+                quantity=row["quantity"],
+                unit=row["unit"],
+                printed=float(row["printed"]),
+                corrected=float(row["corrected"]),
+                band=float(row["band"]) if row["band"] else None,
+                note=row["note"],
             )
             for row in csv.DictReader(file)
         ]
@@ -133,7 +133,7 @@ def counts(verdicts: Sequence[Verdict]) -> dict[str, dict[str, int]]:
     return found
 
 
-def best(verdicts: Sequence[Verdict]) -> tuple[set[Cell], set[Cell]]:
+def best(verdicts: Sequence[Verdict]) -> tuple[set[PublishedCell], set[PublishedCell]]:
     """The smallest number of each column, at the four decimals that are printed: published, ours."""
     columns: dict[tuple[str, str], list[Verdict]] = {}
     for verdict in verdicts:
@@ -229,7 +229,7 @@ def _of(table: str, verdicts: Sequence[Verdict]) -> list[Verdict]:
     return sorted(rows, key=lambda v: order.index(v.cell.quantity))
 
 
-def _latex_quantity(cell: Cell) -> str:
+def _latex_quantity(cell: PublishedCell) -> str:
     kind, _, axis = cell.quantity.partition("_")
     symbol = f"T_{axis[1:]}" if axis[:1] == "T" else rf"\{axis}" if len(axis) > 1 else axis
     name = f"{kind} ${symbol}$" if axis else "Mean"
