@@ -13,11 +13,12 @@ import h5py
 import numpy as np
 import pytest
 from conftest import EXPERIMENTS, ORCH, merged
-from peers.station import Station, close_to, free_port, named
+from peers.station import Station, close_to, command_long, free_port, named
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 GRIPPING = str(EXPERIMENTS / "gripping_currents.toml")
+VERSION = (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
 
 @pytest.fixture
@@ -38,10 +39,10 @@ def run(shipped, tmp_path):
 
 
 def datasets(path):
-    found = {}
+    values = {}
     with h5py.File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
-    return found
+        file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return values
 
 
 def test_the_record_is_the_same_to_the_bit_with_the_bridge_on_and_telemetry_agrees_with_it(run, orch, tmp_path):
@@ -90,7 +91,7 @@ def test_the_record_is_the_same_to_the_bit_with_the_bridge_on_and_telemetry_agre
     listener.close()
 
 
-def test_a_run_that_records_almost_nothing_is_shown_all_the_same(run, tmp_path):
+def test_a_run_that_records_almost_nothing_is_shown_nevertheless(run, tmp_path):
     listener = Station.udpin(port := free_port())
     process = run(
         "--set",
@@ -129,7 +130,7 @@ def test_paced_runs_are_never_taken_from_the_store(orch):
     assert "already" not in orch("run", "--realtime", GRIPPING, *options).out
 
 
-def test_what_cannot_be_is_said_before_anything_starts(orch, tmp_path):
+def test_what_cannot_be_shown_is_reported_before_anything_starts(orch, tmp_path):
     taken = Station.udpin(port := free_port())
     (tmp_path / "empty").write_text("")
     for options, words in {
@@ -167,7 +168,7 @@ def test_what_cannot_be_is_said_before_anything_starts(orch, tmp_path):
         ({"mavlink.rates": {"EXTRA1": 900}}, "mavlink.rates.EXTRA1", "0 to 50 Hz"),
     ],
 )
-def test_problems_of_the_table_are_found_at_once_with_what_was_meant(problems, spiral, changes, key, words):
+def test_problems_of_the_section_are_reported_with_what_was_meant(problems, spiral, changes, key, words):
     assert any(words in what for where, what in problems(merged(spiral, changes)) if where == key)
 
 
@@ -224,9 +225,9 @@ def test_signed_frames_go_out_and_only_signed_ones_count(run, tmp_path):
     friend = _noticed(port, key=key)
     beat = friend.expect("HEARTBEAT")
     assert beat.get_signed()
-    assert friend.command(512, 148) == 0
+    assert friend.command(*VERSION) == mavlink.MAV_RESULT_ACCEPTED
     stranger = _noticed(port)
-    stranger.send(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    stranger.send(command_long(*VERSION))
     assert named("COMMAND_ACK")(stranger.listen(0.5), 1) == []
     friend.close()
     stranger.close()
@@ -261,19 +262,19 @@ def test_a_telemetry_log_is_the_same_whether_written_with_the_run_or_of_its_reco
     content = (tmp_path / "with.tlog").read_bytes()
     assert content == (tmp_path / "of.tlog").read_bytes()
     log = mavutil.mavlink_connection(str(tmp_path / "with.tlog"), dialect="ardupilotmega")
-    found = []
+    messages = []
     while (message := log.recv_match()) is not None:
-        found.append(message)
-    assert "BAD_DATA" not in {m.get_type() for m in found}
+        messages.append(message)
+    assert "BAD_DATA" not in {m.get_type() for m in messages}
     record = datasets(tmp_path / "run.h5")
     for system in (1, 2):
-        attitude = named("ATTITUDE")(found, system)
+        attitude = named("ATTITUDE")(messages, system)
         assert len(attitude) == 31
         yaw = record[f"vehicle{system}/eta.psi"][[round(m.time_boot_ms / 10) for m in attitude]]
         assert [m.yaw for m in attitude] == pytest.approx(np.angle(np.exp(1j * yaw)).tolist(), abs=1e-6)
-        assert len(named("PARAM_VALUE")(found, system)) > 200
-        assert any(getattr(m, "servo1_raw", 1500) != 1500 for m in named("SERVO_OUTPUT_RAW")(found, system))
-    assert found[-1]._timestamp - found[0]._timestamp == pytest.approx(3.0, abs=0.01)
+        assert len(named("PARAM_VALUE")(messages, system)) > 200
+        assert any(getattr(m, "servo1_raw", 1500) != 1500 for m in named("SERVO_OUTPUT_RAW")(messages, system))
+    assert messages[-1]._timestamp - messages[0]._timestamp == pytest.approx(3.0, abs=0.01)
 
 
 def test_a_record_without_velocities_gives_no_telemetry_log_and_says_why(orch):
@@ -338,7 +339,7 @@ def test_what_a_deaf_client_leaves_is_dropped_as_whole_frames():
     link.close()
 
 
-def test_who_comes_and_goes_is_heard_and_forgotten():
+def test_partners_are_heard_up_to_a_number_and_forgotten_when_silent():
     from collections import Counter
 
     from orchestrator.mavlink.protocol import links

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import ORCH, merged
 from peers.ardupilot import PACKET, FakeArdupilot, hover, parsed
-from peers.station import Station, free_port
+from peers.station import Station, free_port, to
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from orchestrator.errors import OrchError
@@ -24,6 +24,7 @@ from orchestrator.mavlink.vehicle.parameters import AutopilotParameters
 from orchestrator.mavlink.vehicle.sample import Sample
 
 H = 0.01
+POINT = 0x0DF8  # type_mask: everything but the position is ignored
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def autopilot(control):
 
 
 def announce(autopilot, text):
-    """Nobody listens."""
+    """To nobody."""
 
 
 def follow(component, eta, seconds):
@@ -65,7 +66,16 @@ def follow(component, eta, seconds):
 
 
 def manual_control(x=0, y=0, z=500, r=0, buttons=0):
-    return mavlink.MAVLink_manual_control_message(1, x, y, z, r, buttons)
+    return mavlink.MAVLink_manual_control_message(target=1, x=x, y=y, z=z, r=r, buttons=buttons)
+
+
+def set_point(frame, mask, point):
+    """SET_POSITION_TARGET_LOCAL_NED of a point alone."""
+    x, y, z = point
+    rest = dict.fromkeys(("vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0)
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        **to(), time_boot_ms=0, coordinate_frame=frame, type_mask=mask, x=x, y=y, z=z, **rest
+    )
 
 
 def test_a_joystick_moves_the_reference_as_the_vehicle_points(control, autopilot):
@@ -118,9 +128,9 @@ def test_axes_beyond_their_range_and_buttons_do_what_ardusub_does(control, autop
 
 
 def test_channel_overrides_move_it_too(control, autopilot):
-    fields = [1500] * 8
-    fields[4], fields[2] = 1700, 1300
-    steering.Pilot(autopilot).channels(mavlink.MAVLink_rc_channels_override_message(1, 1, *fields), time.monotonic())
+    pulses = {f"chan{n}_raw": 1500 for n in range(1, 9)} | {"chan3_raw": 1300, "chan5_raw": 1700}
+    message = mavlink.MAVLink_rc_channels_override_message(**to(), **pulses)
+    steering.Pilot(autopilot).channels(message, time.monotonic())
     assert control.demands() == pytest.approx((0.5, 0, 0.5, 0))
     assert control.channels()[:6] == [1500, 1500, 1300, 1500, 1700, 1500]
 
@@ -128,15 +138,14 @@ def test_channel_overrides_move_it_too(control, autopilot):
 @pytest.mark.parametrize(
     ("frame", "mask", "point", "expected"),
     [
-        (1, 0x0DF8, (4, 5, 6), (4, 5, 6)),
-        (7, 0x0DF8, (4, 5, 6), (5, 7, 9)),
-        (9, 0x0DF8, (4, 5, 6), (1 - 5, 2 + 4, 9)),  # ahead is east
-        (1, 0x0DF8 | 4, (4, 5, 6), (4, 5, None)),
+        (mavlink.MAV_FRAME_LOCAL_NED, POINT, (4, 5, 6), (4, 5, 6)),
+        (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, POINT, (4, 5, 6), (5, 7, 9)),
+        (mavlink.MAV_FRAME_BODY_OFFSET_NED, POINT, (4, 5, 6), (1 - 5, 2 + 4, 9)),  # ahead is east
+        (mavlink.MAV_FRAME_LOCAL_NED, POINT | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE, (4, 5, 6), (4, 5, None)),
     ],
 )
 def test_set_points_count_in_mode_guided_in_every_frame(control, autopilot, frame, mask, point, expected):
-    still = [0] * 8
-    message = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *point, *still)
+    message = set_point(frame, mask, point)
     steering.set_point(autopilot, message)
     assert control.set_point is None
     autopilot.mode, control.guided = FlightMode.GUIDED, True
@@ -174,10 +183,10 @@ def steered(spiral):
 
 
 def datasets(path):
-    found = {}
+    values = {}
     with h5py.File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
-    return found
+        file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return values
 
 
 def test_a_joystick_flies_a_vehicle_and_the_run_can_be_repeated_from_its_record(orch, steered, write, tmp_path):
@@ -235,12 +244,13 @@ def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_
     station = Station.udpout(port)
     while not station.receive(0.1) and process.poll() is None:
         station.heartbeat()
-    assert station.command(176, 1, FlightMode.GUIDED) == 0
-    still = [0] * 8
-    station.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, 2.5, -1.2, 1.3, *still))
+    custom, accepted = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mavlink.MAV_RESULT_ACCEPTED
+    assert station.command(mavlink.MAV_CMD_DO_SET_MODE, custom, FlightMode.GUIDED) == accepted
+    station.send(set_point(mavlink.MAV_FRAME_LOCAL_NED, POINT, (2.5, -1.2, 1.3)))
     station.listen(2.0)
-    assert station.command(400, 0) == 0
-    station.expect("HEARTBEAT", lambda m: not m.base_mode & 128, seconds=0.5)
+    disarm = 0
+    assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, disarm) == accepted
+    station.expect("HEARTBEAT", lambda m: not m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED, seconds=0.5)
     assert process.wait(timeout=30) == 0
     run = datasets(tmp_path / "run.h5")
     assert [run[f"pilot/eta_d.{axis}"][-1] for axis in "xyz"] == pytest.approx([2.5, -1.2, 1.3], abs=0.05)
@@ -271,7 +281,7 @@ def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_p
     assert orch("rerun", "run.h5", "--verify").code == 0  # without ArduPilot
 
 
-def test_a_pilot_without_a_bridge_is_told(orch, steered, write):
+def test_a_run_without_a_bridge_says_that_nobody_steers(orch, steered, write):
     answer = orch("run", write(merged(steered, {"master.stop_time": 0.1})), "--output", "run.h5")
     assert answer.code == 0
     assert "nobody steers 'pilot'" in answer.err
@@ -360,7 +370,7 @@ def test_the_reply_is_what_ardupilots_parser_wants():
     assert np.hypot(*state["velocity"][:2]) == pytest.approx(0.5 * math.cos(0.2))
 
 
-def test_a_port_that_is_taken_and_an_ardupilot_that_is_silent_are_said():
+def test_a_port_that_is_taken_and_an_ardupilot_that_is_silent_are_reported():
     component = ArdupilotJson("ardusub", {"port": float(port := free_port()), "patience": 0.2}, {})
     with pytest.raises(OrchError, match=rf"components\.ardusub2\.parameters\.port: {port} cannot be opened"):
         ArdupilotJson("ardusub2", {"port": port}, {})

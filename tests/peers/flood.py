@@ -4,16 +4,17 @@ import math
 import os
 import random
 import socket
-import struct
 import time
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from .station import FTP, command_long, to
 
 RATE = 1000  # datagrams a second
 
 
 def flood(port, process, seconds, station):
-    """Send for a while; meanwhile the station listens.  Returns the resident memory of the process [kB] over time."""
+    """Send for a while; meanwhile the station listens.  Returns the resident memory of the process over time [kB]."""
     chance, resident = random.Random(1), []
     encoder = mavlink.MAVLink(None, srcSystem=255, srcComponent=7)
     connection = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -55,35 +56,62 @@ def datagram(chance, encoder):
 
 
 def request(chance):
+    """One of many requests, with fields that make no sense."""
     odd = [math.nan, math.inf, -1.0, 1e30, 30.0, 148.0]
-    ftp = struct.Struct("<HBBBBBBI").pack
+    commands = [
+        mavlink.MAV_CMD_REQUEST_MESSAGE,
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
+        mavlink.MAV_CMD_DO_SET_MODE,
+        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+        mavlink.MAV_CMD_DO_REPOSITION,
+    ]
     return chance.choice(
         [
-            lambda: mavlink.MAVLink_command_long_message(
-                1, 1, chance.choice([512, 511, 510, 176, 400, 192]), 0, *(chance.choice(odd) for _ in range(7))
-            ),
+            lambda: command_long(chance.choice(commands), *(chance.choice(odd) for _ in range(7))),
             lambda: mavlink.MAVLink_command_int_message(
-                0, 0, 99, chance.randrange(1 << 16), 1, 1, math.inf, math.nan, 3, 4, 2**31 - 1, -(2**31), math.nan
+                **to(0, 0),
+                frame=99,
+                command=chance.randrange(1 << 16),
+                current=1,
+                autocontinue=1,
+                param1=math.inf,
+                param2=math.nan,
+                param3=3,
+                param4=4,
+                x=2**31 - 1,
+                y=-(2**31),
+                z=math.nan,
             ),
-            lambda: mavlink.MAVLink_param_request_list_message(1, 1),
-            lambda: mavlink.MAVLink_param_request_read_message(0, 0, b"", chance.randrange(-1, 400)),
-            lambda: mavlink.MAVLink_param_set_message(1, 1, chance.randbytes(16), math.nan, chance.randrange(256)),
-            lambda: mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, list(chance.randbytes(251))),
-            lambda: mavlink.MAVLink_file_transfer_protocol_message(
-                0, 1, 1, list((ftp(1, 1, 4, 16, 0, 0, 0, 0) + b"@PARAM/param.pck").ljust(251, b"\0"))
+            lambda: mavlink.MAVLink_param_request_list_message(**to()),
+            lambda: mavlink.MAVLink_param_request_read_message(
+                **to(0, 0), param_id=b"", param_index=chance.randrange(-1, 400)
             ),
-            lambda: mavlink.MAVLink_file_transfer_protocol_message(
-                0, 1, 1, list(ftp(1, 1, 15, 239, 0, 0, 0, 0).ljust(251, b"\0"))
+            lambda: mavlink.MAVLink_param_set_message(
+                **to(), param_id=chance.randbytes(16), param_value=math.nan, param_type=chance.randrange(256)
             ),
-            lambda: mavlink.MAVLink_set_mode_message(1, chance.randrange(256), chance.randrange(100)),
+            lambda: ftp(chance.randbytes(251)),
+            lambda: ftp(FTP.pack(1, 1, mavlink.MAV_FTP_OPCODE_OPENFILERO, 16, 0, 0, 0, 0) + b"@PARAM/param.pck"),
+            lambda: ftp(FTP.pack(1, 1, mavlink.MAV_FTP_OPCODE_BURSTREADFILE, 239, 0, 0, 0, 0)),
+            lambda: mavlink.MAVLink_set_mode_message(
+                target_system=1, base_mode=chance.randrange(256), custom_mode=chance.randrange(100)
+            ),
             lambda: mavlink.MAVLink_request_data_stream_message(
-                1, 1, chance.randrange(20), 60_000, chance.randrange(2)
+                **to(), req_stream_id=chance.randrange(20), req_message_rate=60_000, start_stop=chance.randrange(2)
             ),
-            lambda: mavlink.MAVLink_mission_count_message(1, 1, 65535, chance.randrange(256)),
-            lambda: mavlink.MAVLink_timesync_message(0, chance.randrange(2**62)),
-            lambda: mavlink.MAVLink_manual_control_message(1, 32767, -32768, 32767, -32768, 65535),
+            lambda: mavlink.MAVLink_mission_count_message(**to(), count=65535, mission_type=chance.randrange(256)),
+            lambda: mavlink.MAVLink_timesync_message(tc1=0, ts1=chance.randrange(2**62)),
+            lambda: mavlink.MAVLink_manual_control_message(
+                target=1, x=32767, y=-32768, z=32767, r=-32768, buttons=65535
+            ),
         ]
     )()
+
+
+def ftp(payload):
+    return mavlink.MAVLink_file_transfer_protocol_message(
+        **to(), target_network=0, payload=list(payload.ljust(251, b"\0"))
+    )
 
 
 def resident_memory(process):

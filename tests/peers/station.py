@@ -1,4 +1,4 @@
-"""A small ground station for the tests: a socket, MAVLink's messages, and what has come."""
+"""A small ground station for the tests: a socket, MAVLink's messages, and those that have come."""
 
 import math
 import socket
@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 FTP = struct.Struct("<HBBBBBBI")
+GROUND_STATION = 255  # system id
 
 
 def free_port(kind=socket.SOCK_DGRAM):
@@ -20,9 +21,9 @@ def free_port(kind=socket.SOCK_DGRAM):
 class Station:
     """udpin(port): listens there; udpout(port), tcp(port): talks to the bridge."""
 
-    def __init__(self, connection, target=None, system=255, key=None):
+    def __init__(self, connection, target=None, system=GROUND_STATION, key=None):
         self.socket, self.target = connection, target
-        self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
+        self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self.mav.robust_parsing = True
         if key:
             self.mav.signing.secret_key, self.mav.signing.sign_outgoing = key, True
@@ -53,7 +54,16 @@ class Station:
         self.socket.close()
 
     def heartbeat(self):
-        self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+        self.send(
+            mavlink.MAVLink_heartbeat_message(
+                type=mavlink.MAV_TYPE_GCS,
+                autopilot=mavlink.MAV_AUTOPILOT_INVALID,
+                base_mode=0,
+                custom_mode=0,
+                system_status=mavlink.MAV_STATE_UNINIT,
+                mavlink_version=3,
+            )
+        )
 
     def send(self, message):
         self.send_bytes(message.pack(self.mav))
@@ -66,7 +76,7 @@ class Station:
             self.socket.sendall(data)
 
     def receive(self, seconds):
-        """Messages that come until something came or the time is over."""
+        """The messages of the next datagram, if one comes within the time."""
         self.socket.settimeout(max(1e-4, seconds))
         try:
             data, sender = self.socket.recvfrom(1 << 16)
@@ -74,24 +84,24 @@ class Station:
             return []
         if self.socket.type == socket.SOCK_DGRAM:
             self.target = sender
-        found = [m for m in self.mav.parse_buffer(data) or [] if m.get_type() != "BAD_DATA"]
-        for message in found:
+        messages = [m for m in self.mav.parse_buffer(data) or [] if m.get_type() != "BAD_DATA"]
+        for message in messages:
             system, seq = message.get_srcSystem(), message.get_seq()
             self.lost += system in self._seq and (self._seq[system] + 1) % 256 != seq
             self._seq[system] = seq
             self.messages.append(message)
             self.times.append(time.monotonic())
-        return found
+        return messages
 
     def listen(self, seconds):
         """Everything that comes within the time."""
-        end, found = time.monotonic() + seconds, []
+        end, messages = time.monotonic() + seconds, []
         while (left := end - time.monotonic()) > 0:
-            found += self.receive(left)
-        return found
+            messages += self.receive(left)
+        return messages
 
     def expect(self, kind, fits=lambda message: True, seconds=5.0, system=1):
-        """The first message of a kind, of one vehicle, that fits."""
+        """The first message of a kind from one vehicle that fits."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self._waiting += self.receive(left)
@@ -108,13 +118,32 @@ class Station:
 
     def command(self, number, *parameters, system=1, seconds=0.5):
         """The result of a command."""
-        values = [*parameters, *[0.0] * (7 - len(parameters))]
-        message = mavlink.MAVLink_command_long_message(system, 1, number, 0, *values)
-        return self.ask(message, "COMMAND_ACK", lambda ack: ack.command == number, seconds, system).result
+        return self.ask(
+            command_long(number, *parameters, system=system),
+            "COMMAND_ACK",
+            lambda ack: ack.command == number,
+            seconds,
+            system,
+        ).result
 
     def ftp(self, opcode, data=b"", offset=0, size=None, seq=1, session=3):
         body = FTP.pack(seq, session, opcode, len(data) if size is None else size, 0, 0, 0, offset) + data
-        return mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, list(body.ljust(251, b"\0")))
+        return mavlink.MAVLink_file_transfer_protocol_message(
+            **to(),
+            target_network=0,
+            payload=list(body.ljust(251, b"\0")),
+        )
+
+
+def to(system=1, component=mavlink.MAV_COMP_ID_AUTOPILOT1):
+    """The fields of a message that say for whom it is."""
+    return {"target_system": system, "target_component": component}
+
+
+def command_long(number, *parameters, **target):
+    """COMMAND_LONG; parameters that are not given are 0.  target: as in `to`."""
+    values = {f"param{n}": parameters[n - 1] if n <= len(parameters) else 0.0 for n in range(1, 8)}
+    return mavlink.MAVLink_command_long_message(**to(**target), command=number, confirmation=0, **values)
 
 
 def ftp_answer(message):
@@ -135,7 +164,7 @@ def unpacked(content):
     magic, n, total = struct.unpack_from("<HHH", content)
     assert magic == 0x671B
     assert n == total
-    at, before, found = 6, b"", {}
+    at, before, parameters = 6, b"", {}
     forms = {1: "<b", 2: "<h", 3: "<i", 4: "<f"}
     while at < len(content):
         kind, lengths = content[at], content[at + 1]
@@ -144,11 +173,11 @@ def unpacked(content):
         at += 2 + tail
         (value,) = struct.unpack_from(forms[kind], content, at)
         at += struct.calcsize(forms[kind])
-        found[name.decode()], before = (kind, value), name
-    assert len(found) == n
-    return found
+        parameters[name.decode()], before = (kind, value), name
+    assert len(parameters) == n
+    return parameters
 
 
 def close_to(a, b, tolerance):
-    """Angles."""
+    """Whether two angles [rad] agree."""
     return abs(math.remainder(a - b, 2 * math.pi)) <= tolerance
