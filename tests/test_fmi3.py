@@ -286,6 +286,17 @@ def test_the_fmu_s_variables_are_shown(orch, sponge):
     assert shown["A[2,2]"]["start"] == "1"
 
 
+def test_rerun_names_the_element_of_an_array_that_differs_even_in_the_sign_of_zero(run, orch, sponge):
+    record = run(alone(sponge, A=[[1, 0], [0, 0]]))
+    assert record["one.y"][2].tolist() == [1.0, 0.0]
+    record.close()
+    with h5py.File(record.path, "r+") as file:
+        file["one/y"][2, 1] = -0.0
+    answer = orch("rerun", "last", "--verify")
+    assert answer.code == 1
+    assert "one.y[2] first, at t = 0.02 s: -0.0 then, 0.0 now" in answer.out
+
+
 @pytest.mark.parametrize(
     "command",
     [

@@ -13,7 +13,9 @@ import pytest
 from click.testing import CliRunner
 from conftest import ORCH, merged, poll, single
 
+from orchestrator import open_run
 from orchestrator.cli.main import orch as cli
+from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.records.store import filters
 from orchestrator.records.store.index import NAME
 from orchestrator.records.store.query import WhereError, parse
@@ -410,6 +412,21 @@ def test_diff_sees_axes_that_are_crossed_and_axes_that_are_missing(orch, wired):
         found = {c["name"]: (c["before"], c["after"]) for c in answer.json if c["name"].startswith("connections")}
         assert names <= {name.rpartition(".")[2] for name in found}
         assert found["connections.controller.eta." + min(names)][0] == "vehicle.eta." + min(names)
+
+
+def test_a_scaled_connection_is_compared_drawn_and_reported(orch, write, spiral, tmp_path):
+    """Its vehicle is driven by what arrives, not by what was sent."""
+    straight = orch("run", write(spiral), "--json").json["run_id"]
+    table = merged(spiral, {"connections.vehicle.u": {"from": "allocation.u", "gain": 0.5}})
+    scaled = orch("run", write(table), "--json").json["file"]
+    answer = orch("diff", straight, scaled, "--json")
+    (change,) = (c for c in answer.json if c["name"].startswith("connections"))
+    assert (change["before"], change["after"]) == ("allocation.u", "0.5 * allocation.u")
+    for command in (("plot", scaled, "-o", "a.svg"), ("report", scaled, "-o", "a.html")):
+        assert orch(*command).code == 0
+    with open_run(tmp_path / scaled) as run:
+        (vehicle,) = vehicles(run)
+        assert vehicle.u["T3"].tolist() == (0.5 * run["allocation.u.T3"]).tolist()
 
 
 def test_the_exit_code_of_diff_is_that_of_the_digests(orch, store, tmp_path):

@@ -6,13 +6,13 @@ import dataclasses
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from ..errors import StoreError
 from ..experiment.reader import parse
 from ..plan.plan import Plan
 from ..plan.resolve import resolve
-from ..records.compare.bits import Difference, Kept, compare
+from ..records.compare.bits import Difference, compare
 from ..records.file.run import Run
 from . import runner
 from .checkpoint.file import open_checkpoint
@@ -72,4 +72,4 @@ def verify(record: Run, plan: Plan) -> Difference | None:
     with tempfile.TemporaryDirectory(prefix="orch-rerun-") as folder:
         result = runner.execute(plan, Path(folder) / "again.h5", context=replay_of(record, plan))
         with Run(result.file) as again:
-            return compare(record, cast("Run", Kept(again, record)) if "kept" in record.attributes else again)
+            return compare(record, again)

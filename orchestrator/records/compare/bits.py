@@ -1,31 +1,38 @@
-"""Whether two records hold the same rows, bit for bit, and ended alike."""
+"""Whether two records of one plan hold the same rows, bit for bit, and ended alike."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ... import warning
 from ...warning import Kind
 from ..file.run import Run
+from .settings import differing
+
+if TYPE_CHECKING:
+    from ...arrays import Table, Truths
 
 # Attributes that decide whether two runs ended alike; all others name the clock, the machine or the file.
-COMPARED = ("status", "error", "failed_at", "stopped_at", "metrics", "warnings", "digest")
+ENDS = ("status", "error", "failed_at", "stopped_at", "metrics", "warnings", "digest")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Difference:
-    """signals: that differ; first: the one that differs first, at `time` [s], with its values then and now; facts:
-    attributes that differ, sentences."""
+    """How two records differ.
 
-    signals: tuple[str, ...]
-    first: str
-    time: float
-    then: Any
-    now: Any
+    facts: sentences on attributes, signals and numbers of rows that differ.  signals: those whose values differ;
+    first: the one that differs first, at `time` [s], with its values then and now.
+    """
+
     facts: tuple[str, ...]
+    signals: tuple[str, ...] = ()
+    first: str = ""
+    time: float = 0.0
+    then: Any = None
+    now: Any = None
 
     def __str__(self) -> str:
         lines = list(self.facts)
@@ -38,64 +45,63 @@ class Difference:
         return "\n".join(lines)
 
 
-class Kept:
-    """A whole record as one of a sweep that has kept fewer rows, or none."""
-
-    def __init__(self, whole: Run, record: Run):
-        self.attributes, self._whole, self._rows = whole.attributes, whole, np.isin(whole.time, record.time)
-        self.time, self.signals = whole.time[self._rows], record.signals
-
-    def __getitem__(self, name: str) -> Any:
-        return self._whole[name][self._rows]
-
-
 def compare(then: Run, now: Run) -> Difference | None:
-    """What differs between two records in their rows, bit for bit, and in how they ended."""
+    """What differs between two records; None where nothing does.
+
+    A record of a sweep may have kept fewer rows, or none: then only these rows and signals are compared.
+    """
+    kept = "kept" in then.attributes
+    chosen = np.isin(now.time, then.time) if kept else np.ones(len(now.time), dtype=bool)
+    facts = _ends(then, now)
+    if len(then.time) != chosen.sum():
+        facts.append(f"rows: {len(then.time)} then, {chosen.sum()} now")
+    if not kept:
+        facts += [f"{name} is in one of the two only" for name in sorted(set(then.signals) ^ set(now.signals))]
+    rows = min(len(then.time), int(chosen.sum()))
+    first: dict[str, tuple[int, ...]] = {}  # {signal: row, and place in it, of its first value that differs}
+    for name in ["time", *(name for name in then.signals if name in now.signals)]:
+        unequal = _unequal(*(values[:rows] for values in _pair(then, now, chosen, name)))
+        if unequal.any():
+            first[name] = tuple(int(i) for i in np.argwhere(unequal)[0])
+    if not first:
+        return Difference(facts=tuple(facts)) if facts else None
+    name = min(first, key=lambda name: first[name][0])
+    row, *place = first[name]
+    old, new = (values[first[name]] for values in _pair(then, now, chosen, name))
+    return Difference(
+        facts=tuple(facts),
+        signals=tuple(first),
+        first=f"{name}[{','.join(str(i + 1) for i in place)}]" if place else name,
+        time=float(then.time[row]),
+        then=old.item() if isinstance(old, np.generic) else old,
+        now=new.item() if isinstance(new, np.generic) else new,
+    )
+
+
+def _ends(then: Run, now: Run) -> list[str]:
+    """Sentences on attributes that say how the runs ended, and differ."""
     before, after = then.attributes, now.attributes
     if "warning_kinds" not in before:  # made before loops were judged as they are now
         for attributes in (before, after):
             attributes["warnings"] = [text for text in warning.read(attributes) if text.kind == Kind.OTHER]
-    facts = [
+    return [
         f"{name}: {_short(before.get(name))} then, {_short(after.get(name))} now"
-        for name in COMPARED
-        if before.get(name) != after.get(name)
+        for name in differing([{name: of.get(name) for name in ENDS} for of in (before, after)])
     ]
-    times = then.time, now.time
-    rows = min(map(len, times))
-    if len(times[0]) != len(times[1]):
-        facts.append(f"rows: {len(times[0])} then, {len(times[1])} now")
-    facts += [f"{name} is in one of the two only" for name in sorted(set(then.signals) ^ set(now.signals))]
-    found: dict[str, int] = {}
-    for name in ["time", *(name for name in then.signals if name in now.signals)]:
-        pair = times if name == "time" else (then[name], now[name])
-        if not rows:
-            continue
-        unequal = _bits(pair[0][:rows]) != _bits(pair[1][:rows])
-        differing = np.flatnonzero(unequal.reshape(rows, -1).any(axis=1))
-        if len(differing):
-            found[name] = int(differing[0])
-    if not found:
-        return Difference((), "", 0.0, None, None, tuple(facts)) if facts else None
-    first = min(found, key=lambda name: found[name])
-    row = found[first]
-    if then.signals and first != "time" and then[first].ndim > 1:
-        place = tuple(np.argwhere(then[first][row] != now[first][row])[0])
-        index = ",".join(str(i + 1) for i in place)
-        return Difference(
-            tuple(found),
-            f"{first}[{index}]",
-            float(times[0][row]),
-            then[first][(row, *place)].item(),
-            now[first][(row, *place)].item(),
-            tuple(facts),
-        )
-    old, new = (pair.tolist()[row] for pair in (times if first == "time" else (then[first], now[first])))
-    return Difference(tuple(found), first, float(times[0][row]), old, new, tuple(facts))
 
 
-def _bits(values: Any) -> Any:
-    """Numbers as integers of their size: equal where every bit is, and only there."""
-    return values if values.dtype.kind == "O" else values.view(f"u{values.dtype.itemsize}")
+def _pair(then: Run, now: Run, chosen: Truths, name: str) -> tuple[Table, Table]:
+    """The rows of a signal, or of the time, in both records."""
+    if name == "time":
+        return then.time, now.time[chosen]
+    return then[name], now[name][chosen]
+
+
+def _unequal(then: Table, now: Table) -> Truths:
+    """Which values are not the same; of numbers, in any bit."""
+    a, b = (v if v.dtype.kind == "O" else v.view(f"u{v.dtype.itemsize}") for v in (then, now))
+    unequal: Truths = a != b
+    return unequal
 
 
 def _short(value: Any) -> str:

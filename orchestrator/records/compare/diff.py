@@ -1,19 +1,20 @@
-"""What differs between two records: what made them, and what came out."""
+"""All that differs between two records: what made them, and what came of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ...names import split_axis
 from ..file.run import Run
+from .settings import Setting, differing, flat, settings
 
-MADE = ("versions", "git_commit", "platform")  # beside what the experiment says
+MADE = ("versions", "git_commit", "platform")  # beside the settings
 ENDED = ("status", "error", "stopped_at", "failed_at")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Change:
     """One thing that differs; None where a record lacks it.  `decides`: whether the numbers depend on it."""
 
@@ -26,11 +27,20 @@ class Change:
 def changes(a: Run, b: Run) -> list[Change]:
     """All that differs but clocks: what decides the numbers first, then what may, then results."""
     before, after = a.attributes, b.attributes
-    deciding = _differing(_experiment(before, after), _experiment(after, before), True)
+    deciding = _changes(_deciding(before, after), _deciding(after, before), True)
     deciding = [replace(c, decides=False) if _renames(c, deciding) else c for c in deciding]
-    made = _differing({name: before[name] for name in MADE}, {name: after[name] for name in MADE}, False)
-    ended = _differing(_ended(before), _ended(after), False)
-    return [*deciding, *made, *ended]
+    return [
+        *deciding,
+        *_changes(_circumstances(before), _circumstances(after), False),
+        *_changes(_ended(before), _ended(after), False),
+    ]
+
+
+def _changes(before: Mapping[Setting, Any], after: Mapping[Setting, Any], decides: bool) -> list[Change]:
+    return [
+        Change(name=".".join(setting), before=before.get(setting), after=after.get(setting), decides=decides)
+        for setting in differing([before, after])
+    ]
 
 
 def _renames(change: Change, others: Iterable[Change]) -> bool:
@@ -39,51 +49,59 @@ def _renames(change: Change, others: Iterable[Change]) -> bool:
     return key.count(".") == 1 and key.endswith(".fmu") and f"{change.name}_sha256" not in {c.name for c in others}
 
 
-def _ended(facts: Mapping[str, Any]) -> dict[str, Any]:
-    return {**{name: facts.get(name) for name in ENDED if facts.get(name)}, "metrics": facts["metrics"]}
+def _circumstances(facts: Mapping[str, Any]) -> dict[Setting, Any]:
+    return dict(flat({name: facts[name] for name in MADE}))
 
 
-def _experiment(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+def _ended(facts: Mapping[str, Any]) -> dict[Setting, Any]:
+    return dict(flat({**{name: facts.get(name) for name in ENDED if facts.get(name)}, "metrics": facts["metrics"]}))
+
+
+def _deciding(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[Setting, Any]:
     """What decides the numbers; of a component that the other record lacks, only which FMU it is."""
-    resolved = facts["experiment_resolved"]
-    common = {c["name"] for c in other["experiment_resolved"]["components"]}
-    components = {
-        c["name"]: {k: v for k, v in c.items() if k != "name"} if c["name"] in common else c["fmu"]
-        for c in resolved["components"]
-    }
-    connections = _connections(resolved["connections"], other["experiment_resolved"]["connections"])
-    order = " ".join(name for name in components if name in common)
-    return {
-        "master": resolved["master"],
-        "order": order,
-        "components": components,
-        "connections": {sink: v for sink, v in connections.items() if sink.partition(".")[0] in common},
-        "record": resolved["record"],
-        "from": resolved.get("from", {}),
-    }
+    mine, theirs = settings(facts["experiment_resolved"]), settings(other["experiment_resolved"])
+    common = [setting[1] for setting in mine if setting[2:] == ("fmu",) and setting in theirs]
+    result: dict[Setting, Any] = {("order",): " ".join(common)}
+    for setting, value in mine.items():
+        match setting:
+            case ("components", name, key, *_) if name not in common:
+                if key == "fmu":
+                    result["components", name] = value
+            case ("connections", _):
+                pass
+            case _:
+                result[setting] = value
+    for sink, source in _connections(_connected(mine), _connected(theirs)).items():
+        if sink.partition(".")[0] in common:
+            result["connections", sink] = source
+    return result
 
 
-def _connections(pairs: Iterable[tuple[str, str]], others: Iterable[tuple[str, str]]) -> dict[str, str]:
+def _connected(made: Mapping[Setting, Any]) -> dict[str, str]:
+    return {setting[1]: source for setting, source in made.items() if setting[0] == "connections"}
+
+
+def _connections(pairs: Mapping[str, str], others: Mapping[str, str]) -> dict[str, str]:
     """{input: output} of the vectors that are connected otherwise in the other record.
 
     One entry a vector, "controller.eta": "vehicle.eta", where that tells all and the difference; else one a scalar.
     """
     mine, theirs = _by_vector(pairs), _by_vector(others)
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for vector, axes in mine.items():
         if axes == theirs.get(vector):
             continue
         whole, other = _whole(axes), _whole(theirs.get(vector, {}))
         same_axes = vector not in theirs or _axes(axes) == _axes(theirs[vector])
-        found |= {vector: whole} if whole and same_axes and (other or vector not in theirs) else axes
-    return found
+        result |= {vector: whole} if whole and same_axes and (other or vector not in theirs) else axes
+    return result
 
 
-def _by_vector(pairs: Iterable[tuple[str, str]]) -> dict[str, dict[str, str]]:
-    found: dict[str, dict[str, str]] = {}
-    for sink, source in pairs:
-        found.setdefault(split_axis(sink)[0], {})[sink] = source
-    return found
+def _by_vector(pairs: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    result: dict[str, dict[str, str]] = {}
+    for sink, source in pairs.items():
+        result.setdefault(split_axis(sink)[0], {})[sink] = source
+    return result
 
 
 def _axes(sinks: Iterable[str]) -> set[str]:
@@ -97,26 +115,9 @@ def _whole(axes: Mapping[str, str]) -> str:
     return origins.pop() if len(origins) == 1 and len(axes) > 1 and straight else ""
 
 
-def _differing(before: Mapping[str, Any], after: Mapping[str, Any], decides: bool) -> list[Change]:
-    old, new = dict(_flat(before)), dict(_flat(after))
-    return [
-        Change(name, old.get(name), new.get(name), decides)
-        for name in [*old, *(name for name in new if name not in old)]
-        if old.get(name) != new.get(name)
-    ]
-
-
-def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}{name}.")
-        else:
-            yield above + name, value
-
-
-def rows(found: list[Change]) -> list[tuple[str, str, str, str]]:
+def rows(changes: list[Change]) -> list[tuple[str, str, str, str]]:
     """As a table: name, before, after, and of numbers by how much."""
-    return [(change.name, _shown(change.before), _shown(change.after), _by(change)) for change in found]
+    return [(change.name, _shown(change.before), _shown(change.after), _by(change)) for change in changes]
 
 
 def _by(change: Change) -> str:

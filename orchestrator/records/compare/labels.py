@@ -3,50 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...names import split_axis
-
-if TYPE_CHECKING:
-    from ..file.run import Run
+from .settings import differing, settings
 
 SHOWN = 3  # words of a label
 Key = tuple[str, str]  # component (or "master") and variable; the variable of an FMU's name is ""
 
 
-def differences(runs: Sequence[Run]) -> list[str]:
-    """For each run what differs from the others: "pid", "controller.K_p.z = 60"; "" where nothing does."""
-    resolved = [run.attributes.get("experiment_resolved", {}) for run in runs]
-    settings = [_settings(r) for r in resolved]
-    keys = [key for key in dict.fromkeys(k for s in settings for k in s) if len({s.get(key) for s in settings}) > 1]
+def labels_of(resolved: Sequence[Mapping[str, Any]]) -> list[str]:
+    """For each run what differs from the others: "pid", "controller.K_p.z = 60"; "" where nothing does.
+
+    resolved: the attribute `experiment_resolved` of each run, {} where it has none.
+    """
+    tables = [_texts(r) for r in resolved]
+    keys = differing(tables)
     # Where the FMU is another, so are its parameters.
     swapped = {component for component, variable in keys if not variable}
     keys = [(component, variable) for component, variable in keys if not variable or component not in swapped]
     if not keys:
-        builds = [_builds(r) for r in resolved]
-        keys = [key for key in builds[0] if len({b.get(key) for b in builds}) > 1]
-        settings = builds
-    return [_label(keys, s) for s in settings]
+        tables = [_builds(r) for r in resolved]
+        keys = differing(tables)
+    return [_label(keys, table) for table in tables]
 
 
-def _settings(resolved: Mapping[str, Any]) -> dict[Key, str]:
-    """{key: value as text} of what decides the numbers, FMUs first."""
-    components = resolved.get("components", [])
-    settings = {(c["name"], ""): str(c["fmu"]) for c in components}
-    for component in components:
-        vectors: dict[str, dict[str, Any]] = {}
-        for name, value in [*component["parameters"].items(), *component["start"].items()]:
-            head, axis = split_axis(name)
-            vectors.setdefault(head, {})[axis] = value
-        for head, axes in vectors.items():
-            values = ", ".join(map(_text, axes.values()))
-            if len(axes) > 1:
-                settings[component["name"], head] = f"({values})"
-            else:
-                settings[component["name"], ".".join(filter(None, (head, *axes)))] = values
-    for name, value in resolved.get("master", {}).items():
-        settings["master", name] = _text(value) + (" s" if name in ("step", "stop_time") else "")
-    return settings
+def _texts(resolved: Mapping[str, Any]) -> dict[Key, str]:
+    """{key: value as text} of the FMUs, then of the parameters and start values by vectors, then of the master."""
+    fmus: dict[Key, str] = {}
+    vectors: dict[tuple[str, str], dict[str, str]] = {}
+    master: dict[Key, str] = {}
+    for setting, value in settings(resolved).items():
+        match setting:
+            case ("components", component, "fmu"):
+                fmus[component, ""] = str(value)
+            case ("components", component, "parameters" | "start", name):
+                head, axis = split_axis(name)
+                vectors.setdefault((component, head), {})[axis] = text(value)
+            case ("master", name):
+                master["master", name] = text(value) + (" s" if name in ("step", "stop_time") else "")
+    variables: dict[Key, str] = {}
+    for (component, head), axes in vectors.items():
+        values = ", ".join(axes.values())
+        if len(axes) > 1:
+            variables[component, head] = f"({values})"
+        else:
+            variables[component, ".".join(filter(None, (head, *axes)))] = values
+    return fmus | variables | master
 
 
 def _builds(resolved: Mapping[str, Any]) -> dict[Key, str]:
@@ -67,5 +70,6 @@ def _label(keys: Sequence[Key], settings: Mapping[Key, str]) -> str:
     return ", ".join(words[:SHOWN]) + (", …" if len(words) > SHOWN else "")
 
 
-def _text(value: Any) -> str:
+def text(value: Any) -> str:
+    """A value of a setting, as labels show it."""
     return f"{value:g}" if isinstance(value, float) else str(value)

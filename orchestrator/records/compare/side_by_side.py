@@ -9,13 +9,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ...errors import StoreError, did_you_mean
 from ...metrics import METRICS, finite, smaller_is_better, unit_of
 from ..file.run import Run
 from ..store.folder import Store
-from .labels import differences
+from .labels import labels_of, text
+from .settings import differing
 
 if TYPE_CHECKING:
     from _typeshed import SupportsRichComparison
@@ -161,24 +162,23 @@ def _labels(entries: Sequence[Entry]) -> list[str]:
     experiments: dict[str, list[int]] = {}
     for i, entry in enumerate(entries):
         experiments.setdefault(entry.attributes["experiment"], []).append(i)
-    labels = [""] * len(entries)
+    result = [""] * len(entries)
     for experiment, members in experiments.items():
         for i, words in zip(members, _differing([entries[i] for i in members]), strict=True):
-            labels[i] = ", ".join([experiment, *words] if len(experiments) > 1 else words)
-    return labels
+            result[i] = ", ".join([experiment, *words] if len(experiments) > 1 else words)
+    return result
 
 
 def _differing(entries: Sequence[Entry]) -> list[list[str]]:
     """What differs; of runs that differ in FMUs, what differs among those with the same ones, too."""
-    # `differences` asks runs for their attributes only; these have been read, and the files closed.
-    words = differences(cast("Sequence[Run]", entries))
-    found = [[word] if word else [] for word in words]
+    words = labels_of([entry.attributes["experiment_resolved"] for entry in entries])
+    result = [[word] if word else [] for word in words]
     groups = {word: [i for i, other in enumerate(words) if other == word] for word in words}
     for members in groups.values():
         if 1 < len(members) < len(entries):
             for i, more in zip(members, _differing([entries[i] for i in members]), strict=True):
-                found[i] += more
-    return found
+                result[i] += more
+    return result
 
 
 def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]:
@@ -186,17 +186,15 @@ def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]
     for name in dict.fromkeys(column.name for column in columns):
         metrics = [e.attributes["experiment_resolved"]["metrics"] for e in entries]
         specs = [of[name] for of in metrics if name in of]
-        keys = dict.fromkeys(key for spec in specs for key in spec)
-        texts = {key: sorted({_text(spec.get(key)) for spec in specs}, key=_in_order) for key in keys}
-        differing = [f"{key} = {' or '.join(found)}" for key, found in texts.items() if len(found) > 1]
-        if differing:
-            yield f"{name} is not the same in all runs: {', '.join(differing)}"
+        texts = {
+            key: sorted({"none" if key not in spec else text(spec[key]) for spec in specs}, key=_in_order)
+            for key in differing(specs)
+        }
+        if texts:
+            words = ", ".join(f"{key} = {' or '.join(values)}" for key, values in texts.items())
+            yield f"{name} is not the same in all runs: {words}"
     if entries and not columns:
         yield "no run has metrics: name some under [metrics] in the experiment file"
-
-
-def _text(value: Any) -> str:
-    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _in_order(text: str) -> SupportsRichComparison:

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...names import split_axis
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from ...arrays import Reals
     from ..file.run import Run
-
-    Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "phi", "theta", "psi")
 
@@ -26,10 +23,10 @@ class Vehicle:
     """The signals of one vehicle, each {axis: (N,)}, without the axes that the record does not hold."""
 
     name: str
-    eta: Mapping[str, Array]  # position in NED and zyx Euler angles [m, rad]
-    eta_d: Mapping[str, Array]  # what its controller was told to reach, likewise
-    u: Mapping[str, Array]  # normalized thruster commands
-    v_c: Mapping[str, Array]  # velocity of the current in NED [m/s]
+    eta: Mapping[str, Reals]  # position in NED and zyx Euler angles [m, rad]
+    eta_d: Mapping[str, Reals]  # what its controller was told to reach, likewise
+    u: Mapping[str, Reals]  # normalized thruster commands
+    v_c: Mapping[str, Reals]  # velocity of the current in NED [m/s]
 
 
 def vehicles(run: Run) -> list[Vehicle]:
@@ -61,28 +58,34 @@ class _Wiring:
     """What arrives at inputs: the connections and start values of the experiment, over the recorded signals."""
 
     def __init__(self, run: Run):
-        resolved: Mapping[str, Any] = run.attributes.get("experiment_resolved", {})
         self._run = run
-        self._source: dict[str, str] = dict(resolved.get("connections", []))
+        self._source: dict[str, str] = {}
+        self._scale: dict[str, tuple[float, float]] = {}  # factor and offset, where they are not 1 and 0
+        for sink, source, *scale in run.resolved.get("connections", []):
+            self._source[sink] = source
+            if scale:
+                self._scale[sink] = scale[0], scale[1]
         self._start = {
             f"{component['name']}.{variable}": value
-            for component in resolved.get("components", [])
+            for component in run.resolved.get("components", [])
             for variable, value in component["start"].items()
         }
 
-    def arriving(self, vector: str) -> dict[str, Array]:
+    def arriving(self, vector: str) -> dict[str, Reals]:
         """{axis: (N,)} of an input such as "vehicle1.u": as recorded, else from its source, else its start value."""
         known = [*self._source, *self._start, *self._run.signals]
         axes = {axis for head, axis in map(split_axis, known) if head == vector and axis}
         values = {axis: self._values(vector, axis) for axis in sorted(axes, key=_in_order)}
         return {axis: array for axis, array in values.items() if array is not None}
 
-    def _values(self, vector: str, axis: str) -> Array | None:
+    def _values(self, vector: str, axis: str) -> Reals | None:
         recorded = set(self._run.signals)
         for name in (f"{vector}.{axis}", f"{vector}[{axis}]"):
-            source = name if name in recorded else self._source.get(name)
-            if source in recorded:
-                return np.asarray(self._run[source], float)
+            if name in recorded:
+                return np.asarray(self._run[name], float)
+            if self._source.get(name) in recorded:
+                factor, offset = self._scale.get(name, (1.0, 0.0))
+                return factor * np.asarray(self._run[self._source[name]], float) + offset
             if name in self._start:
                 return np.full(len(self._run.time), float(self._start[name]))
         return None

@@ -131,6 +131,12 @@ class Run:
         return {name: json.loads(value) if name in JSON else value for name, value in values.items()}
 
     @property
+    def resolved(self) -> dict[str, Any]:
+        """What ran, every name and value resolved; {} where the record does not say."""
+        resolved: dict[str, Any] = self.attributes.get("experiment_resolved", {})
+        return resolved
+
+    @property
     def status(self) -> str:
         """completed, failed, interrupted, running, or "interrupted (killed)" where nobody writes it any more."""
         status = self._get("its status", lambda file: str(file.attrs["status"]))

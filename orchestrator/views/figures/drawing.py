@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from ...errors import StoreError, did_you_mean
 from ...fmu.units import readable
 from ...names import matches, split_axis
-from ...records.compare.labels import differences
+from ...records.compare.labels import labels_of
 from .. import figures
 from . import overview
 from .panels import GREY, Curve, Panel, colour, draw_rows, plain, symbol
@@ -153,7 +153,7 @@ def _run_keys(runs: Sequence[Run]) -> list[Line2D]:
     if len(runs) == 1:
         return []
     keys = []
-    for i, (run, what) in enumerate(zip(runs, differences(runs), strict=True)):
+    for i, (run, what) in enumerate(zip(runs, labels_of([run.resolved for run in runs]), strict=True)):
         status = "" if run.status == "completed" else f" ({run.status})"
         keys.append(Line2D([], [], color=colour(i), label=plain(f"{run.run_id}{status}  {what}".rstrip())))
     return keys

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from ...errors import OrchError
 from ...files import write_text
-from ...records.compare.labels import differences
+from ...records.compare.labels import labels_of
 from ...records.compare.vehicles import vehicles
 from ..figures.diagram import diagram
 from . import curves, facts, scene
@@ -40,7 +40,10 @@ def page(runs: Sequence[Run]) -> str:
         from plotly.offline import get_plotlyjs
     except ImportError:
         raise OrchError('orch report draws with plotly, which is not installed; pip install "orch[report]"') from None
-    labels = [f"{run.run_id}  {what}".strip() for run, what in zip(runs, differences(runs), strict=True)]
+    labels = [
+        f"{run.run_id}  {what}".strip()
+        for run, what in zip(runs, labels_of([run.resolved for run in runs]), strict=True)
+    ]
     fleet = [(run, vehicles(run)) for run in runs if len(run.time)]
     shown = [label for run, label in zip(runs, labels, strict=True) if len(run.time)]
     data = {
