@@ -31,10 +31,16 @@ def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used:
     while not os.path.lexists(folder):
         folder = folder.parent
     if not folder.is_dir():
-        raise StoreError(f"{path} cannot be written: {os.path.relpath(folder)} is a file, not a folder")
+        raise StoreError(f"{path} cannot be written: {short(folder)} is a file, not a folder")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise StoreError(f"{path} cannot be written: no permission to write into {os.path.relpath(folder)}")
+        raise StoreError(f"{path} cannot be written: no permission to write into {short(folder)}")
     return path
+
+
+def short(path: Path) -> str:
+    """The path as seen from here, where that is shorter."""
+    relative = os.path.relpath(path)
+    return relative if len(relative) < len(str(path)) else str(path)
 
 
 def write_text(target: Path, text: str) -> Path:

@@ -154,7 +154,11 @@ from orchestrator.cli.main import main
 main()
 """
     done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PATH": ""}
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PATH": "", "COLUMNS": "200"},
     )
     lines = {line[9:].split("  ")[0]: line for line in done.stdout.splitlines()[:-1]}
     assert lines["casadi"].startswith("MISSING")

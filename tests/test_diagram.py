@@ -1,5 +1,6 @@
 """orch check: the system as tables, as SVG and as Mermaid."""
 
+import os
 import re
 
 import pytest
@@ -16,7 +17,8 @@ def rows(text):
 
 
 def test_check_prints_components_and_connections(orch, write, spiral):
-    found = rows(orch("check", write(merged(spiral, {"components.controller.step": 0.002}))).out)
+    path = write(merged(spiral, {"components.controller.step": 0.002}))
+    found = rows(orch("check", path, env={**os.environ, "COLUMNS": "120"}).out)
     assert ["component", "fmu", "version", "packaging", "steps every"] in found
     (controller,) = [row for row in found if row[0] == "controller"]
     assert (controller[1], controller[2], controller[4]) == ("pid", "FMI 2.0", "0.002 s")

@@ -340,11 +340,15 @@ def test_output_spares_what_is_no_record(orch, write, spiral, tmp_path):
     path = write(spiral)
     text = path.read_bytes()
     (tmp_path / "folder").mkdir()
-    for target in (path, tmp_path / "folder"):
+    (tmp_path / "notes.txt").write_text("mine")
+    refused = {path: "is already used by this command", "folder": "is a folder", "notes.txt": "no record"}
+    for target, words in refused.items():
         answer = orch("run", path, "--output", target)
         assert answer.code == 2
-        assert f"{target} is there and is no record" in answer.err
+        assert answer.err.startswith(f"{target} ")
+        assert words in answer.err
     assert path.read_bytes() == text
+    assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_results_names_the_store(orch, write, spiral, tmp_path):

@@ -1,11 +1,11 @@
-"""The MAVLink bridge: ground stations see the simulated vehicles as ArduSub.
+"""The MAVLink bridge: ground stations see the simulated vehicles as ArduSub.  `experiment.mavlink` reads [mavlink].
 
-settings   the [mavlink] table of an experiment          frame      thrusters of ArduSub's vectored frame, and PWM
-sample     what is known of a vehicle at an instant      telemetry  the messages made of it
-autopilot  what a vehicle answers with: modes, parameters (parameters), files (ftp)
-commands, conversation                                   requests and their answers
-links, wire                                              endpoints, frames, signing
-bridge     an observer of the run, and a thread of its own
-manual, ardupilot                                        components that steer a vehicle from outside
-tlog       frames with their times, in a file
+vehicle     what is known of one vehicle: its state, parameters, thrusters and steering; needs no pymavlink
+protocol    what is said: messages, requests and answers, frames, endpoints
+components  what steers a vehicle from outside: `mavlink_manual`, `ardupilot_json`
+fleet       the vehicles of a plan as autopilots
+view        samples of them during a run
+bridge      the observer of a run that shows them, and its thread
+steered     which vehicle a component steers
+tlog        the frames of a run in a file
 """

@@ -15,6 +15,7 @@ from ..errors import ExperimentError, Problem
 from ..metrics import unit_of
 from ..runs.prepare import prepare
 from ..views import figures
+from ..views.tables import terminal
 from . import processes
 from .progress import CommandProgress
 
@@ -163,17 +164,15 @@ def draw(study: ConvergenceStudy, target: Path) -> Path:
 
 def report(study: ConvergenceStudy) -> str:
     """The study as a table and a verdict."""
-    head = ["metric", *(f"{step:g} s{'*' if step == study.own else ''}" for step in study.steps), "order", "error*", ""]
-    rows = [head]
+    steps = [terminal.tied(f"{step:g} s{'*' if step == study.own else ''}") for step in study.steps]
+    rows = [["metric", *steps, "order", "error*", ""]]
     for metric in study.metrics:
-        order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
-        verdict = "" if metric.converged(study.own) else "not converged"
         values = [f"{metric.values[step]:.5g}" for step in study.steps]
-        rows.append([metric.name, *values, order, f"{metric.error:.2g} {metric.unit}".strip(), verdict])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines += ["", f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed"]
-    lines += [f"warning: {warning}" for warning in study.warnings]
+        order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
+        error = terminal.tied(f"{metric.error:.2g} {metric.unit}".strip())
+        rows.append([metric.name, *values, order, error, "" if metric.converged(study.own) else "not converged"])
+    note = f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed"
+    lines = [*terminal.table(rows), "", note, *(f"warning: {warning}" for warning in study.warnings)]
     verdict = "converged" if study.converged else "NOT converged"
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
 

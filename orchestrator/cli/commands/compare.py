@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from ... import files
 from .options import json_option, results_option, tell
 
 
@@ -127,7 +128,6 @@ def _compare_sweep(
 
 def _targets(output: str | None, figure: str | None, used: Sequence[Path]) -> tuple[Path | None, Path | None]:
     """The files of --output and --plot."""
-    from ... import files
     from ...views import figures
 
     table = files.target(output, used=used) if output else None
@@ -142,15 +142,13 @@ def _form(form: str | None, table: Path | None) -> str:
 
 def _answer(text: str, data: dict[str, Any], table: Path | None, picture: Path | None, as_json: bool) -> None:
     """Write or print the text, or print the data."""
-    from ... import files
-    from ...views.tables.terminal import short
 
     if table:
         files.write_text(table, f"{text}\n")
     if as_json:
         click.echo(json.dumps(data))
         return
-    click.echo("\n".join([*([] if table else [text]), *(short(target) for target in (table, picture) if target)]))
+    click.echo("\n".join([*([] if table else [text]), *(files.short(target) for target in (table, picture) if target)]))
 
 
 @click.command()
@@ -165,7 +163,7 @@ def diff(a: str, b: str, results: str, as_json: bool) -> int:
     """
     from ...records.compare import diff as changes
     from ...records.store.folder import open_run
-    from ...views.tables.terminal import columns_of
+    from ...views.tables.terminal import table
 
     with open_run(a, results) as first, open_run(b, results) as second:
         found = changes.changes(first, second)
@@ -174,7 +172,7 @@ def diff(a: str, b: str, results: str, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps([change.__dict__ for change in found]))
     elif found:
-        click.echo("\n".join(columns_of([("", *names, "by"), *changes.rows(found)])))
+        click.echo("\n".join(table([("", *names, "by"), *changes.rows(found)])))
     elif same:
         tell("nothing differs but clocks")
     if not same and not any(change.decides for change in found):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ... import files
 from .options import changes_options, packaging_option, prepared, results_option, tell
 
 EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is asked for
@@ -53,10 +54,8 @@ def export(
     All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
     its rows are written.
     """
-    from ... import files
     from ...records.store.folder import open_run
     from ...views import export as exporting
-    from ..text import show
 
     named = "ssp" if Path(output or "").suffix.lower() == ".ssp" else exporting.named_by(Path(output or ""))
     form = form or named
@@ -75,15 +74,13 @@ def export(
         if record.status != "completed":
             rows, time = len(record.time), record.time[-1]
             tell(f"{record.run_id}: {record.status}; these are its {rows} rows until t = {time:.10g} s")
-    click.echo(show.short(target))
+    click.echo(files.short(target))
 
 
 def _export_experiment(
     path: str, form: str | None, output: str | None, sets: tuple[str, ...], swaps: tuple[str, ...], packaging: str
 ) -> None:
-    from ... import files
     from ...ssp import writing
-    from ..text import show
 
     if form != "ssp":
         what = f"--format {form} is for runs" if form else "say which format"
@@ -92,7 +89,7 @@ def _export_experiment(
     plan = prepared(path, sets, swaps, tell, packaging)
     for note in [*plan.notes, *writing.limits(plan)]:
         tell(f"note: {note}")
-    click.echo(show.short(writing.export(plan, target)))
+    click.echo(files.short(writing.export(plan, target)))
 
 
 @click.command("import")
@@ -108,10 +105,8 @@ def import_(system: str, output: str | None, force: bool) -> None:
 
     Nested systems are flattened.  Of an SSP that orch exported, the experiment is the same: run id, record, metrics.
     """
-    from ... import files
     from ...errors import StoreError
     from ...ssp import importing
-    from ..text import show
 
     target = files.target(output or f"{Path(system).stem}.toml", "an experiment", (".toml",), [system])
     if target.exists() and not force:
@@ -122,4 +117,4 @@ def import_(system: str, output: str | None, force: bool) -> None:
     for key in ("stop_time", "step"):
         if key not in imported.table["master"]:
             tell(f"note: the SSP does not say master.{key}: add it to {target}, in s")
-    click.echo(show.short(target))
+    click.echo(files.short(target))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from ... import files
 from ...errors import FmuError
 from .options import json_option, tell
 
@@ -35,7 +36,6 @@ def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...
     """
     from ...models import build as builder
     from ...models import catalogue
-    from ..text import show
 
     if targets and packaging == "python":
         raise click.UsageError("--target makes native FMUs; Python FMUs run on 64-bit x86 Linux and Windows anyway")
@@ -45,7 +45,7 @@ def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...
     else:
         built = builder.build(wanted, tell, force, packaging or "auto")
     for path in built.values():
-        click.echo(show.short(path))
+        click.echo(files.short(path))
 
 
 @click.command()

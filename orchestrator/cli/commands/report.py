@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ... import files
 from .options import results_option
 
 PAGE = "a report", (".html", ".htm")
@@ -22,13 +23,12 @@ def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], fo
     from ...records.store.folder import Store
     from ...views import figures
     from ...views.figures import drawing
-    from ..text import show
 
     store = Store(results)
     paths = [store.find(name) for name in runs]
     target = figures.target(output or paths[0].with_suffix(".png"), paths)
     for drawn in drawing.following(paths, target, signals) if follow else [drawing.draw_files(paths, target, signals)]:
-        click.echo(f"{show.short(target)}: t = {drawn.time:.6g} s" if drawn.running else show.short(target))
+        click.echo(f"{files.short(target)}: t = {drawn.time:.6g} s" if drawn.running else files.short(target))
 
 
 @click.command()
@@ -38,8 +38,6 @@ def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], fo
 @results_option
 def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results: str) -> None:
     """Write runs as one HTML page: replay, plots, metrics.  RUN: an id, a prefix of one, a file, or "last"."""
-    from ... import files
-    from ..text import show
 
     if sweep is not None:
         if runs:
@@ -49,7 +47,7 @@ def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results
 
         found = table.find(results, sweep)
         target = files.target(output or (found.storage.local or Path()) / "report.html", *PAGE)
-        click.echo(show.short(page.write(analysis.analyse(found), target)))
+        click.echo(files.short(page.write(analysis.analyse(found), target)))
         return
     if not runs:
         raise click.UsageError("say which runs, or which --sweep")
@@ -59,4 +57,4 @@ def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results
     store = Store(results)
     paths = [store.find(name) for name in runs]
     target = files.target(output or paths[0].with_suffix(".html"), *PAGE, used=paths)
-    click.echo(show.short(write([open_run(path) for path in paths], target)))
+    click.echo(files.short(write([open_run(path) for path in paths], target)))

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ... import files
 from ...errors import ExperimentError, OrchError
 from .options import (
     INTERRUPTED,
@@ -69,7 +70,6 @@ def run(
     **live: Any,
 ) -> int:
     """Run an experiment, or a SYSTEM.ssp, and record it."""
-    from ... import files
     from ...records.file.run import Run
     from ...runs.checkpoint.observer import ticks_of
     from ...runs.progress import ProgressLine, RunProgress
@@ -187,7 +187,6 @@ def check(
     orch check experiments/spiral_pid.toml --swap controller=theirs.fmu --load
     orch check system.ssp
     """
-    from ... import files
     from ...views.figures.diagram import FORMS, draw
     from ..text import show
 
@@ -210,4 +209,4 @@ def check(
     if load:
         told("every FMU was loaded and initialized")
     if target is not None and not as_json:
-        click.echo(f"\n{show.short(target)}")
+        click.echo(f"\n{files.short(target)}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from ... import files
 from ...errors import OrchError
 from .options import json_option, results_option, tell
 
@@ -63,7 +64,7 @@ def list_(
     !=, <, <=, >, >=, in [...] and like 'glob*'.
     """
     from ...records.store import filters as listing
-    from ...views.tables.terminal import columns_of
+    from ...views.tables.terminal import table, tied
 
     filters = listing.Filters(experiment, status, since, before, where)
     found = listing.choose(Path(results), filters)
@@ -75,7 +76,10 @@ def list_(
     elif as_csv:
         click.echo(listing.as_csv(found, [*shown, "file"]), nl=False)
     elif found:
-        click.echo("\n".join(columns_of(listing.table(found, shown))))
+        rows = listing.table(found, shown)
+        whole = [i for i, name in enumerate(shown) if name not in ("title", "error", "command")]
+        cells = [[tied(cell) if i in whole else cell for i, cell in enumerate(row)] for row in rows[1:]]
+        click.echo("\n".join(table([rows[0], *cells])))
     else:
         tell(
             f"no run in {results}" + (" passes the filters" if any((experiment, status, since, before, where)) else "")
@@ -108,7 +112,6 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
     """
     from ...records.store import filters as listing
     from ...records.store.prune import Stays, delete
-    from ...views.tables.terminal import short
 
     filters = listing.Filters(experiment, status, since, before, where)
     if not filters:
@@ -123,10 +126,10 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
             if yes:
                 delete(path, passes)
         except Stays as error:
-            kept.append(f"{short(path)} stays: {error}")
+            kept.append(f"{files.short(path)} stays: {error}")
         else:
             gone.append(run)
-            click.echo(f"{short(path)}  {run['status']}")
+            click.echo(f"{files.short(path)}  {run['status']}")
     size = sum(run["bytes"] for run in gone) / 1e6
     what = "1 record" if len(gone) == 1 else f"{len(gone)} records"
     tell(f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would go; --yes deletes them")

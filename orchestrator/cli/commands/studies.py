@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from ... import files
 from .options import (
     INTERRUPTED,
     changes_options,
@@ -45,7 +46,6 @@ def converge(
     """
     from ...studies import convergence
     from ...views import figures
-    from ..text import show
 
     target = figures.target(output or Path(results) / "_converge" / f"{Path(experiment).stem}.png", [experiment])
     try:
@@ -55,7 +55,7 @@ def converge(
     changes = pairs("--set", sets), swaps_of(swaps)
     study = convergence.study(experiment, chosen, *changes, results, silent if as_json else tell)
     convergence.draw(study, target)
-    text = f"{convergence.report(study)}\n{show.short(target)}"
+    text = f"{convergence.report(study)}\n{files.short(target)}"
     click.echo(json.dumps(convergence.as_json(study)) if as_json else text)
     return 0 if study.converged else 1
 
@@ -79,10 +79,9 @@ def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> in
     """
     from ...studies.thesis import reproduce as thesis
     from ...studies.thesis.pages import summary
-    from ..text import show
 
     reproduction = thesis.reproduce(only, quick, results, tell)
-    click.echo(summary.text(reproduction, show.short(reproduction.folder)))
+    click.echo(summary.text(reproduction, files.short(reproduction.folder)))
     return 1 if reproduction.outside else 0
 
 

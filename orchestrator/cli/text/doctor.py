@@ -15,6 +15,7 @@ from ...fmu.fmu import platform_folder
 from ...models import compiler as compilers
 from ...models.catalogue import build_folder
 from ...simulation.loop import compiled, out_of_date
+from ...views.tables.terminal import table
 
 NEEDED = ("numpy", "h5py", "fmpy", "pythonfmu", "casadi", "matplotlib", "pandas", "click")
 OPTIONAL = {
@@ -101,9 +102,8 @@ def _writable(folder: Path) -> bool:
 
 def report(findings: Sequence[Finding]) -> str:
     """The findings as lines, and what they mean together."""
-    width = max(len(f.what) for f in findings)
-    mark = {"ok": "ok     ", "missing": "MISSING", "note": "-      "}
-    lines = [f"{mark[f.state]}  {f.what.ljust(width)}  {f.detail}" for f in findings]
+    mark = {"ok": "ok", "missing": "MISSING", "note": "-"}
+    lines = table([(mark[f.state], f.what, f.detail) for f in findings], title=False)
     missing = [f.what for f in findings if f.state == "missing"]
     lines += ["", f"missing: {', '.join(missing)}" if missing else "everything that orch needs is here"]
     return "\n".join(lines)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ... import metrics
 from ...errors import ExperimentError, OrchError
+from ...files import short
 from ...fmu.fmu import Fmu
 from ...metrics import finite
 from ...names import split_axis
@@ -17,8 +18,7 @@ from ...plan.feedthrough import Cycle, cycles
 from ...plan.plan import Plan
 from ...simulation.timing import PHASES
 from ...views.tables import system
-from ...views.tables.terminal import columns_of
-from ...views.tables.terminal import short as short  # of the tables
+from ...views.tables.terminal import table
 from ...warning import kinds_of
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
@@ -46,7 +46,7 @@ def result(result: RunResult, plan: Plan) -> str:
     lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
         units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
-        lines += ["  metrics", *columns_of(_metrics(result.metrics, plan.experiment.metrics, units), indent=4)]
+        lines += ["  metrics", *table(_metrics(result.metrics, plan.experiment.metrics, units), 4, title=False)]
     return "\n".join(lines)
 
 
@@ -68,19 +68,20 @@ def record(run: Run) -> str:
         ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
     ]
     plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
-    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *columns_of(plain, indent=2), "", "  components"]
-    lines += columns_of(
+    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *table(plain, 2, title=False), "", "  components"]
+    lines += table(
         [
             (c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
             for c in facts["experiment_resolved"]["components"]
         ],
-        indent=4,
-        cut=True,
+        4,
+        title=False,
+        rest="--json",
     )
     if run.metrics:
         units = {name: run.units(name) for name in run.signals}
         specs = facts["experiment_resolved"]["metrics"]
-        lines += ["", "  metrics", *columns_of(_metrics(run.metrics, specs, units), indent=4)]
+        lines += ["", "  metrics", *table(_metrics(run.metrics, specs, units), 4, title=False)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
     lines += [f"warning: {warning}" for warning in facts["warnings"]]
@@ -106,7 +107,7 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         spent += sum(phases)
         rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
     rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
-    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *columns_of(rows, indent=4)]
+    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *table(rows, 4)]
     if pacing := timing.get("pacing"):
         mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
         lines.append(
@@ -184,10 +185,10 @@ def plan(plan: Plan) -> str:
         *(f"  note: {note}" for note in [*plan.notes, *plan.cautions]),
         *(line for cycle in cycles(plan) for line in _cycle(plan, cycle)),
         "",
-        *columns_of(system.components(plan), indent=2),
+        *table(system.components(plan), 2),
     ]
     if plan.connections:
-        lines += ["", *columns_of(system.connections(plan), indent=2)]
+        lines += ["", *table(system.connections(plan), 2)]
     return "\n".join(lines)
 
 
@@ -227,25 +228,25 @@ def fmus(found: Sequence[Fmu]) -> str:
     """The list of FMUs."""
     rows = [("fmu", "packaging", "what it is")]
     rows += [(f.model_name, f.packaging, f.description) for f in found]
-    return "\n".join(columns_of(rows, cut=True))
+    return "\n".join(table(rows))
 
 
 def fmu(fmu: Fmu) -> str:
     """One FMU: its variables, vectors on one line."""
     able = [name for name, has in fmu.capabilities.items() if has]
-    lines = [
-        f"{fmu.model_name}: {fmu.description}",
-        f"  file          {short(fmu.path)}",
-        f"  sha256        {fmu.sha256}",
-        f"  FMI           {fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})",
-        f"  capabilities  {', '.join(able) or 'none'}",
+    facts = [
+        ("file", short(fmu.path)),
+        ("sha256", fmu.sha256),
+        ("FMI", f"{fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})"),
+        ("capabilities", ", ".join(able) or "none"),
     ]
+    lines = [f"{fmu.model_name}: {fmu.description}", *table(facts, 2, title=False)]
     for causality in ("input", "output", "structuralParameter", "parameter", "calculatedParameter", "local"):
         rows = [_variable(fmu, name) for name in fmu.names(causality)]
         if rows:
             kind = causality.removesuffix("Parameter")
             title = f"{causality}s" if kind == causality else f"{kind} parameters"
-            lines += ["", title, *columns_of(rows, indent=2, cut=True)]
+            lines += ["", title, *table(rows, 2, title=False)]
     return "\n".join(lines)
 
 

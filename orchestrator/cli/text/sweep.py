@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ...files import short
 from ...metrics import finite
 from ...studies.sweep.design.matrix import combinations, labels
 from ...studies.sweep.design.prepared import PreparedSweep
@@ -14,8 +15,7 @@ from ...studies.sweep.engine.storage import is_local
 from ...studies.sweep.engine.table import TABLE
 from ...studies.sweep.engine.worker import FAILED
 from ...studies.sweep.tuning.optimizer import TuneResult
-from ...views.tables.terminal import columns_of
-from .show import short
+from ...views.tables.terminal import table
 
 FAILURES = 5  # that are named
 
@@ -30,7 +30,7 @@ def design(prepared: PreparedSweep) -> str:
     if spec.distributions:
         crossed = f"x {len(combinations(spec))} combinations"
         many += f": {spec.draws} draws ({spec.design}, seed {spec.seed}) {crossed}"
-    return "\n".join([f"sweep {prepared.sweep_id}: {many}", *columns_of([head, *rows])])
+    return "\n".join([f"sweep {prepared.sweep_id}: {many}", *table([head, *rows], names=2, rest="--json")])
 
 
 def design_as_json(prepared: PreparedSweep) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def tuned(result: TuneResult) -> str:
         )
         for one in result.tuned
     ]
-    lines = [f"study {result.tune_id}: {short(result.folder)}", *columns_of([head, *rows])]
+    lines = [f"study {result.tune_id}: {short(result.folder)}", *table([head, *rows])]
     if result.final is not None:
         lines += [
             f"fragments: {short(result.folder / 'tuned.toml')}, and one a controller beside it",

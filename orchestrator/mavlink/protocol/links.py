@@ -1,16 +1,18 @@
-"""Endpoints: where frames go and come from.  Nothing here waits: what cannot be sent at once is dropped."""
+"""Endpoints and the links that they open: UDP, TCP and serial lines.
+
+Nothing here waits: a frame that cannot be sent at once is dropped.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import re
 import socket
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from ...errors import OrchError, did_you_mean
 
@@ -20,17 +22,26 @@ FORMS = {
     "tcpin": "tcpin:HOST:PORT",
     "serial": "serial:DEVICE:BAUD",
 }
-FORGET = 30.0  # s of silence after which udpin sends no more
+Waitable: TypeAlias = Any  # what select.select takes: a socket, or pyserial's port
+
+FORGET = 30.0  # s of silence after which a udpin forgets a partner
 MOST_PEERS = 16  # of a link
-BACKLOG = 1 << 16  # bytes that a slow reader may leave in our hands
-AT_ONCE = 32  # datagrams, or reads, in a turn
+BACKLOG = 1 << 16  # bytes that wait for a slow reader; further frames are dropped
+DATAGRAMS = 32  # that are read in a turn
+READS = 8  # of a stream in a turn
+READ = 4096  # bytes of a stream at once
 DATAGRAM = 1 << 16  # bytes
-BUFFER = 1 << 18  # bytes that the system may keep
+BROADCAST = "255.255.255.255"
+BUFFER = 1 << 18  # bytes, of the system's for each direction
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """`1=udpout:127.0.0.1:14550`.  system: the one vehicle on it, None: all; number: port, or baud of a serial line."""
+    """An endpoint such as 1=udpout:127.0.0.1:14550.
+
+    host: or the device of a serial line.  number: port, or baud of a serial line.  system: id of the one vehicle that
+    is shown there; None: all.
+    """
 
     text: str
     kind: str
@@ -40,7 +51,7 @@ class Endpoint:
 
     @classmethod
     def parse(cls, text: str) -> Endpoint:
-        """Raises OrchError with what would do."""
+        """The endpoint of a text of the form [ID=]KIND:HOST:PORT.  Raises OrchError if it has another form."""
         match = re.fullmatch(r"(?:(\d+)=)?([^:=]+):(.+):(\d+)", text.strip())
         known = ", ".join(FORMS.values())
         if not match:
@@ -49,25 +60,30 @@ class Endpoint:
             )
         system, kind, host, number = match.groups()
         if kind not in FORMS:
-            raise OrchError(f"--mavlink {text}: no {kind!r}{did_you_mean(kind, FORMS)}")
+            raise OrchError(f"--mavlink {text}: no kind of endpoint {kind!r}{did_you_mean(kind, FORMS)}")
         if kind != "serial" and not 0 < int(number) < 1 << 16:
             raise OrchError(f"--mavlink {text}: no port {number}; ports are 1 to 65535")
         return cls(text, kind, host.strip("[]"), int(number), int(system) if system else None)
 
 
 class Peer:
-    """A partner on a link.  heard: when anything last came from it [s]; valid: whether a frame ever did."""
+    """A partner on a link.
 
-    def __init__(self, link: Link, address: Any, now: float):
-        self.link, self.address, self.heard, self.valid = link, address, now, False
-        self.gone = False
+    heard: when anything last came from it (monotonic) [s].  valid: whether a frame ever came from it.  gone: it is no
+    longer a partner.
+    """
+
+    def __init__(self, link: Link, now: float, address: Any = None):
+        """address: where datagrams go."""
+        self.link, self.address = link, address
+        self.heard, self.valid, self.gone = now, False, False
 
     def send(self, frame: bytes) -> None:
         self.link.send(self, frame)
 
 
 class Link(ABC):
-    """An open endpoint.  `whole`: its data are datagrams; `new`: called with each partner that appears."""
+    """An open endpoint.  peers: its partners.  whole: what it receives are datagrams, in which no frame is cut off."""
 
     whole = True
 
@@ -76,12 +92,12 @@ class Link(ABC):
         self.peers: list[Peer] = []
 
     @abstractmethod
-    def files(self) -> list[Any]:
-        """What to wait for."""
+    def files(self) -> list[Waitable]:
+        """What to wait for until something comes."""
 
     @abstractmethod
     def receive(self, now: float) -> Iterator[tuple[Peer, bytes]]:
-        """What has come, some of it at a time."""
+        """What has come and from whom, a limited amount at a time.  now: monotonic [s]."""
 
     @abstractmethod
     def send(self, peer: Peer, frame: bytes) -> None:
@@ -90,52 +106,52 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None: ...
 
-    def dropped(self) -> None:
+    def drop(self) -> None:
+        """Count a frame that was not sent."""
         self.counts["frames dropped"] += 1
 
 
 class UdpOut(Link):
-    """To a station that listens; it answers to the port that we send from."""
+    """Sends to a station that listens; it answers to the port from which we send."""
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
         super().__init__(endpoint, counts)
         self._socket, address = _datagrams(endpoint)
         try:
-            # Connected: the system drops what comes from anybody else.
-            self._socket.connect(address)
+            self._socket.connect(address)  # so that the system drops what comes from anybody else
         except OSError as error:
             self._socket.close()
             raise _cannot_open(endpoint, error) from None
-        self.peers = [Peer(self, address, 0.0)]
+        self.peers = [Peer(self, 0.0, address)]
 
-    def files(self) -> list[Any]:
+    def files(self) -> list[Waitable]:
         return [self._socket]
 
     def receive(self, now: float) -> Iterator[tuple[Peer, bytes]]:
-        for _ in range(AT_ONCE):
+        for _ in range(DATAGRAMS):
             try:
                 data = self._socket.recv(DATAGRAM)
             except BlockingIOError:
                 return
-            except OSError:  # nobody listens there yet, or any more
+            except OSError:  # nobody listens there
                 continue
             yield self.peers[0], data
 
     def send(self, peer: Peer, frame: bytes) -> None:
         try:
             self._socket.send(frame)
-        except ConnectionRefusedError:  # of an earlier frame, which nobody took: this one may find somebody
+        except ConnectionRefusedError:  # reported of an earlier frame; somebody may listen now
             with contextlib.suppress(OSError):
                 self._socket.send(frame)
         except OSError:
-            self.dropped()
+            self.drop()
 
     def close(self) -> None:
         self._socket.close()
 
 
 class UdpIn(Link):
-    """Listens; whoever sends something is a partner until he has been silent for a while."""
+    """Listens; whoever sends something is a partner until nothing has come from it for a while."""
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
         super().__init__(endpoint, counts)
@@ -146,34 +162,35 @@ class UdpIn(Link):
             self._socket.close()
             raise _cannot_open(endpoint, error) from None
 
-    def files(self) -> list[Any]:
+    def files(self) -> list[Waitable]:
         return [self._socket]
 
     def receive(self, now: float) -> Iterator[tuple[Peer, bytes]]:
-        for peer in [peer for peer in self.peers if now - peer.heard > FORGET]:
-            self._forget(peer)
-        for _ in range(AT_ONCE):
+        for silent in [peer for peer in self.peers if now - peer.heard > FORGET]:
+            self._forget(silent)
+        for _ in range(DATAGRAMS):
             try:
                 data, address = self._socket.recvfrom(DATAGRAM)
             except BlockingIOError:
                 return
-            except OSError:  # a partner is gone
+            except OSError:  # reported of a partner that no longer listens
                 continue
-            if (known := self._peer(address, now)) is not None:
-                known.heard = now
-                yield known, data
+            if (peer := self._peer(address, now)) is not None:
+                peer.heard = now
+                yield peer, data
 
     def _peer(self, address: Any, now: float) -> Peer | None:
+        """The partner at an address, a new one if there is room; one that never sent a frame makes room for it."""
         for peer in self.peers:
             if peer.address == address:
                 return peer
         if len(self.peers) >= MOST_PEERS:
-            strangers = [peer for peer in self.peers if not peer.valid]  # who never sent a frame makes room
+            strangers = [peer for peer in self.peers if not peer.valid]
             if not strangers:
                 self.counts["partners refused"] += 1
                 return None
             self._forget(min(strangers, key=lambda peer: peer.heard))
-        self.peers.append(Peer(self, address, now))
+        self.peers.append(Peer(self, now, address))
         return self.peers[-1]
 
     def _forget(self, peer: Peer) -> None:
@@ -184,33 +201,33 @@ class UdpIn(Link):
         try:
             self._socket.sendto(frame, peer.address)
         except OSError:
-            self.dropped()
+            self.drop()
 
     def close(self) -> None:
         self._socket.close()
 
 
-class Stream(Link):
-    """Bytes in a row: a frame is sent as a whole or not at all, and one that is begun is finished."""
+class StreamLink(Link):
+    """A link without datagrams: a frame is sent as a whole or not at all."""
 
     whole = False
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
         super().__init__(endpoint, counts)
-        self._waiting: dict[Peer, bytearray] = {}
+        self._waiting: dict[Peer, bytearray] = {}  # whole frames but for the first, of which a part may have been sent
 
     def send(self, peer: Peer, frame: bytes) -> None:
         if peer.gone:
             return
         waiting = self._waiting.setdefault(peer, bytearray())
         if len(waiting) + len(frame) > BACKLOG:
-            self.dropped()
+            self.drop()
         else:
             waiting += frame
         self.push(peer)
 
     def push(self, peer: Peer) -> None:
-        """Write what the system takes now."""
+        """Write as much as the system takes now."""
         waiting = self._waiting.get(peer)
         if waiting:
             try:
@@ -222,20 +239,22 @@ class Stream(Link):
 
     @abstractmethod
     def write(self, peer: Peer, data: bytes) -> int:
-        """How many bytes were taken."""
+        """Write some bytes; returns how many the system took."""
 
     def lose(self, peer: Peer) -> None:
+        """Forget a partner that closed the connection."""
         peer.gone = True
         self._waiting.pop(peer, None)
         if peer in self.peers:
             self.peers.remove(peer)
 
 
-class TcpIn(Stream):
+class TcpIn(StreamLink):
     """A server: every client is a partner."""
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
         super().__init__(endpoint, counts)
+        self._connections: dict[Peer, socket.socket] = {}
         family, address = _address(endpoint, socket.SOCK_STREAM)
         self._server = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -247,16 +266,18 @@ class TcpIn(Stream):
             self._server.close()
             raise _cannot_open(endpoint, error) from None
 
-    def files(self) -> list[Any]:
-        return [self._server, *(peer.address for peer in self.peers)]
+    def files(self) -> list[Waitable]:
+        return [self._server, *self._connections.values()]
 
     def receive(self, now: float) -> Iterator[tuple[Peer, bytes]]:
         self._accept(now)
         for peer in list(self.peers):
             self.push(peer)
-            for _ in range(AT_ONCE // 4):
+            for _ in range(READS):
+                if peer.gone:
+                    break
                 try:
-                    data = peer.address.recv(4096)
+                    data = self._connections[peer].recv(READ)
                 except (BlockingIOError, InterruptedError):
                     break
                 except OSError:
@@ -276,14 +297,15 @@ class TcpIn(Stream):
                 return
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self.peers.append(Peer(self, connection, now))
+            self.peers.append(peer := Peer(self, now))
+            self._connections[peer] = connection
 
     def write(self, peer: Peer, data: bytes) -> int:
-        return int(peer.address.send(data))
+        return self._connections[peer].send(data)
 
     def lose(self, peer: Peer) -> None:
         super().lose(peer)
-        peer.address.close()
+        self._connections.pop(peer).close()
 
     def close(self) -> None:
         for peer in list(self.peers):
@@ -291,7 +313,7 @@ class TcpIn(Stream):
         self._server.close()
 
 
-class Serial(Stream):
+class SerialLine(StreamLink):
     """A serial line, through pyserial."""
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
@@ -299,23 +321,23 @@ class Serial(Stream):
         try:
             import serial
         except ImportError:
-            words = '--mavlink serial needs pyserial, not installed here: pip install "orch[mavlink]"'
-            raise OrchError(words) from None
+            remedy = 'pip install "orch[mavlink]"'
+            raise OrchError(f"--mavlink serial needs pyserial, not installed here: {remedy}") from None
         try:
             self._port = serial.Serial(endpoint.host, endpoint.number, timeout=0, write_timeout=0)
         except (OSError, ValueError) as error:
             raise OrchError(f"--mavlink {endpoint.text} cannot be opened: {error}") from None
         self._timeout = serial.SerialTimeoutException
-        self.peers = [Peer(self, None, 0.0)]
+        self.peers = [Peer(self, 0.0)]
 
-    def files(self) -> list[Any]:
+    def files(self) -> list[Waitable]:
         return [self._port]
 
     def receive(self, now: float) -> Iterator[tuple[Peer, bytes]]:
         for peer in list(self.peers):
             self.push(peer)
             try:
-                data = self._port.read(4096)
+                data = self._port.read(READ)
             except OSError:  # unplugged
                 self.lose(peer)
                 return
@@ -336,34 +358,35 @@ KINDS: dict[str, Callable[[Endpoint, Counter[str]], Link]] = {
     "udpout": UdpOut,
     "udpin": UdpIn,
     "tcpin": TcpIn,
-    "serial": Serial,
+    "serial": SerialLine,
 }
 
 
 def open_link(endpoint: Endpoint, counts: Counter[str]) -> Link:
-    """Raises OrchError where it cannot be opened."""
+    """Open an endpoint.  counts: of dropped frames and refused partners.  Raises OrchError if it cannot be opened."""
     return KINDS[endpoint.kind](endpoint, counts)
 
 
 def _datagrams(endpoint: Endpoint) -> tuple[socket.socket, Any]:
     family, address = _address(endpoint, socket.SOCK_DGRAM)
+    """A socket that does not block, and the endpoint's address."""
     opened = socket.socket(family, socket.SOCK_DGRAM)
     opened.setblocking(False)
     for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
         opened.setsockopt(socket.SOL_SOCKET, option, BUFFER)
-    with contextlib.suppress(ValueError):
-        if ipaddress.ip_address(address[0]) == ipaddress.ip_address("255.255.255.255"):
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    if address[0] == BROADCAST:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
     return opened, address
 
 
 def _address(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[Any, Any]:
+    """Family and address of an endpoint.  Raises OrchError if there is no such host."""
     try:
-        found = socket.getaddrinfo(endpoint.host, endpoint.number, type=kind)
+        addresses = socket.getaddrinfo(endpoint.host, endpoint.number, type=kind)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OrchError(f"--mavlink {endpoint.text}: no host {endpoint.host!r}: {reason}") from None
-    family, _, _, _, address = min(found, key=lambda f: f[0] != socket.AF_INET)  # stations listen on IPv4
+    family, _, _, _, address = min(addresses, key=lambda entry: entry[0] != socket.AF_INET)  # stations listen on IPv4
     return family, address
 
 

@@ -130,4 +130,4 @@ def _shown(value: Any) -> str:
     if value is None:
         return "-"
     text = f"{value:.8g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 24 else f"{text[:21]}..."
+    return text if len(text) <= 20 else f"{text[:17]}..."

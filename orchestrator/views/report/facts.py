@@ -10,7 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ... import metrics
-from ..tables.terminal import short
+from ...files import short
 
 if TYPE_CHECKING:
     from ...records.file.run import Run

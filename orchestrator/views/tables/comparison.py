@@ -6,18 +6,16 @@ import csv
 import io
 import math
 import re
-import shutil
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...records.compare.side_by_side import Comparison, digits
-from . import latex
+from . import latex, terminal
+from .terminal import TIED
 
 MARK = "*"  # of the best, in the terminal
 NO_NUMBER = "-"
-GAP = 2  # spaces between columns of the terminal
-LABEL = 32  # characters that a label beside its run has at least in the terminal; other formats do not shorten it
 HEAD = 24  # characters of a line of a label above its run, at most
 
 
@@ -68,68 +66,20 @@ def _shown(value: float) -> str:
     return digits(value) if math.isfinite(value) else NO_NUMBER
 
 
-@dataclass(frozen=True)
-class _Column:
-    """Of a table in the terminal.  Numbers end at the right, a place for the mark behind them."""
-
-    head: list[str]
-    body: list[str]
-    is_number: bool = False
-
-    @property
-    def width(self) -> int:
-        return max(map(len, self.head + self.body))
-
-    def line(self, k: int, depth: int) -> str:
-        """The k-th line below the top, the head having `depth` lines."""
-        text = ([*self.head, *[""] * (depth - len(self.head)), *self.body])[k]
-        return text.rjust(self.width) if self.is_number else text.ljust(self.width)
-
-
 def table(comparison: Comparison) -> str:
-    """For the terminal: columns that do not fit beside each other stand below each other, with the names again."""
+    """For the terminal."""
     shown = grid(comparison)
-    width = max(80, shutil.get_terminal_size().columns)
-    numbers = [_numbers(shown, k, width) for k in range(len(shown.heads))]
-    left = width - max(len(stub[0]) for stub in [shown.corner, *shown.stubs]) - GAP
-    label = max(LABEL, left - sum(column.width + GAP for column in numbers))
-    texts = [[textwrap.shorten(text, label, placeholder=" …") for text in stub] for stub in shown.stubs]
-    names = [_Column([corner], [text[i] for text in texts]) for i, corner in enumerate(shown.corner)]
-    room = width - sum(column.width + GAP for column in names) + GAP
-    blocks = [_block([*names, *columns]) for columns in _fitting(numbers, room)]
-    return "\n\n".join([*blocks, *_legend(comparison, shown)])
+    rows = [[*shown.corner, *("\n".join(f"{line}{TIED}" for line in _title(head)) for head in shown.heads)]]
+    for stub, row in zip(shown.stubs, shown.rows, strict=True):
+        rows.append([*stub, *(cell.text + (MARK if cell.is_best else TIED) for cell in row)])
+    numbers = range(len(shown.corner), len(rows[0]))
+    lines = terminal.table(rows, names=1 if shown.runs_down else len(shown.corner), right=numbers)
+    return "\n\n".join(["\n".join(lines), *_legend(comparison, shown)])
 
 
-def _numbers(shown: Grid, k: int, width: int) -> _Column:
-    """The k-th column below its heads, these wrapped so that all columns fit where possible."""
-    first, *rest = shown.heads[k]
-    body = [cell.text + (MARK if cell.is_best else " ") for cell in shown.column(k)]
-    stubs = sum(max(map(len, texts)) + GAP for texts in zip(*shown.stubs, strict=True))
-    fair = (width - stubs) // len(shown.heads) - GAP - 1
-    words = [len(word) for text in rest for word in text.split()]
-    wide = max(len(first), *(len(text) - 1 for text in body), min(HEAD, max(fair, *words, 0)))
-    return _Column(
-        [f"{line} " for line in (first, *(line for text in rest for line in textwrap.wrap(text, wide)))],
-        body,
-        is_number=True,
-    )
-
-
-def _fitting(columns: Sequence[_Column], room: int) -> Iterator[list[_Column]]:
-    """As many as fit beside each other, and again."""
-    block: list[_Column] = []
-    for column in columns:
-        if block and sum(c.width + GAP for c in [*block, column]) > room:
-            yield block
-            block = []
-        block.append(column)
-    yield block
-
-
-def _block(columns: Sequence[_Column]) -> str:
-    depth = max(len(column.head) for column in columns)
-    lines = depth + len(columns[0].body)
-    return "\n".join((" " * GAP).join(c.line(k, depth) for c in columns).rstrip() for k in range(lines))
+def _title(head: Sequence[str]) -> list[str]:
+    first, *rest = head
+    return [first, *(line for text in rest for line in textwrap.wrap(text, HEAD))]
 
 
 def _legend(comparison: Comparison, shown: Grid) -> list[str]:
@@ -140,7 +90,7 @@ def _legend(comparison: Comparison, shown: Grid) -> list[str]:
     if any(cell.text == NO_NUMBER for cell in cells):
         lines.append(f"{NO_NUMBER} no number: no sample in its window, or never reached")
     lines += [f"note: {note}" for note in comparison.notes]
-    return ["\n".join(lines)] if lines else []
+    return ["\n".join(map(terminal.wrapped, lines))] if lines else []
 
 
 def markdown(comparison: Comparison) -> str:

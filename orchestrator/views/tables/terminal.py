@@ -1,28 +1,128 @@
-"""Text in columns, and paths as a reader wants them: what every table on the terminal is made of."""
+"""Tables for the terminal: they fit its width, or 80 columns."""
 
 from __future__ import annotations
 
-import os
+import itertools
+import re
 import shutil
-from collections.abc import Sequence
-from pathlib import Path
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+
+GAP = 2  # spaces between columns
+WORD = 22  # characters; a longer word may be broken, a longer title is wrapped above shorter cells
+LINES = 3  # of a cell, where something else shows the whole
+TIED = "\u00a0"  # a space in a cell at which no line ends; it is printed as a space
 
 
-def short(path: Path) -> str:
-    """The path as seen from here, where that is shorter."""
-    relative = os.path.relpath(path)
-    return relative if len(relative) < len(str(path)) else str(path)
+def table(
+    rows: Sequence[Sequence[str]],
+    indent: int = 0,
+    *,
+    title: bool = True,
+    names: int = 1,
+    right: Sequence[int] = (),
+    rest: str = "",
+) -> list[str]:
+    """Rows of cells as lines that fit the terminal; cells that are too wide are wrapped.
+
+    title: the first row holds the titles; names: as many columns name the row; right: columns aligned to the right.
+    Columns that do not fit beside each other stand below each other, with the names again.  But where `rest` names an
+    option that shows everything, such as "--json", they are left out, long cells are cut, and a last line says so.
+    """
+    room = _width() - indent
+    columns = list(zip(*rows, strict=True))
+    wide = [_widest(cells, title) for cells in columns]
+    narrow = [_narrowest(cells, title, most) for cells, most in zip(columns, wide, strict=True)]
+    blocks = _blocks(narrow, names, room)
+    lines: list[str] = []
+    for block in blocks[:1] if rest else blocks:
+        widths = _fitted({k: wide[k] for k in block}, narrow, room)
+        cells = {k: [_wrapped(cell, width) for cell in columns[k]] for k, width in widths.items()}
+        long = [cell for column in cells.values() for cell in column[title:] if rest and len(cell) > LINES]
+        for cell in long:
+            cell[LINES - 1 :] = [f"{cell[LINES - 1][:-2]} …"]
+        lines += ["", *_beside(cells, widths, right)]
+    if rest and len(blocks) > 1:
+        left_out = [columns[k][0] for block in blocks[1:] for k in block[names:]]
+        lines += textwrap.wrap(f"… and {len(left_out)} more: {', '.join(left_out)}; {rest} shows them", room)
+    elif long:
+        lines.append(f"… {rest} shows the whole")
+    return [f"{' ' * indent}{line}".replace(TIED, " ").rstrip() for line in lines[1:]]
 
 
-def columns_of(rows: Sequence[tuple[str, ...]], indent: int = 0, cut: bool = False) -> list[str]:
-    """Columns as wide as they need; `cut` shortens the last one to the terminal."""
-    width = max(80, shutil.get_terminal_size().columns)
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
+def tied(text: str) -> str:
+    """A text that no line ends in."""
+    return text.replace(" ", TIED)
+
+
+def wrapped(text: str) -> str:
+    """A line of text below a table, as lines that fit the terminal."""
+    return "\n".join(_wrapped(text, _width()))
+
+
+def _width() -> int:
+    return max(80, shutil.get_terminal_size().columns)
+
+
+def _widest(cells: Sequence[str], title: bool) -> int:
+    """The width at which no cell is wrapped, but for a title much longer than the cells below it."""
+    head, *body = [max(map(len, cell.split("\n"))) for cell in cells] or [0]
+    below = max(body, default=0)
+    return max(below, min(head, max(WORD, below)) if title else head)
+
+
+def _narrowest(cells: Sequence[str], title: bool, widest: int) -> int:
+    """The width at which words still stand whole, and what has many words is no tower of them."""
+    word = max((len(word) for cell in cells for word in cell.replace("\n", " ").split(" ")), default=0)
+    body = max(map(len, cells[title:]), default=0)
+    return min(widest, max(min(word, WORD), min(body // 3, WORD)))
+
+
+def _blocks(narrow: Sequence[int], names: int, room: int) -> list[list[int]]:
+    """Numbers of the columns that stand beside each other, those of the names in every block."""
+    blocks = [list(range(names))]
+    for k in range(names, len(narrow)):
+        if sum(narrow[i] + GAP for i in [*blocks[-1], k]) - GAP > room and len(blocks[-1]) > names:
+            blocks.append(list(range(names)))
+        blocks[-1].append(k)
+    return blocks
+
+
+def _fitted(widths: dict[int, int], narrow: Sequence[int], room: int) -> dict[int, int]:
+    """{column: width}, the widest narrowed until all fit."""
+    while sum(widths.values()) + GAP * (len(widths) - 1) > room:
+        loose = [k for k in widths if widths[k] > narrow[k]]
+        if not loose:
+            break
+        widths[max(loose, key=lambda k: widths[k])] -= 1
+    return widths
+
+
+def _beside(
+    columns: Mapping[int, Sequence[list[str]]], widths: Mapping[int, int], right: Sequence[int]
+) -> Iterator[str]:
+    """The lines of columns whose cells are lines."""
+    for row in zip(*columns.values(), strict=True):
+        for texts in itertools.zip_longest(*row, fillvalue=""):
+            parts = zip(texts, widths.items(), strict=True)
+            yield (" " * GAP).join(text.rjust(w) if k in right else text.ljust(w) for text, (k, w) in parts)
+
+
+def _wrapped(cell: str, width: int) -> list[str]:
     lines = []
-    for row in rows:
-        cells = [cell.ljust(w + 2) for cell, w in zip(row, widths, strict=False)]
-        line = " " * indent + "".join(cells) + row[-1]
-        if cut and len(line) > width:
-            line = line[: width - 3].rstrip() + "..."
-        lines.append(line.rstrip())
+    for line in cell.split("\n"):
+        words = " ".join(_pieces(word, width) for word in line.split(" "))
+        lines += [line] if len(line) <= width else textwrap.wrap(words, width, break_on_hyphens=False)
     return lines
+
+
+def _pieces(word: str, width: int) -> str:
+    """A word with spaces at which it may be broken: none, or behind a point, a slash or an underscore."""
+    if len(word) <= width:
+        return word
+    pieces = [""]
+    for part in re.findall("[^./_]*[./_]|[^./_]+", word):
+        if pieces[-1] and len(pieces[-1] + part) > width:
+            pieces.append("")
+        pieces[-1] += part
+    return " ".join(pieces)

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from html import escape
 
 from ....records.compare.side_by_side import digits
-from ....views.tables import latex
-from ....views.tables.terminal import columns_of
+from ....views.tables import latex, terminal
 from .analysis import LEVEL, ContenderSummary, PairComparison, SweepAnalysis
 
 NO_NUMBER = "-"
@@ -105,11 +104,12 @@ def table(analysis: SweepAnalysis, pairs: bool = True) -> str:
     blocks = []
     for shown in text_tables(analysis, pairs):
         rows = [
-            tuple(f"{cell}*" if bold and i == 3 else cell for i, cell in enumerate(row))
+            [terminal.tied(f"{cell}*" if bold and i == 3 else cell) for i, cell in enumerate(row)]
             for row, bold in zip(shown.rows, shown.bold, strict=True)
         ]
-        blocks.append("\n".join([*([shown.title] if shown.title else []), *columns_of([tuple(shown.head), *rows])]))
-    return "\n\n".join([*blocks, "\n".join(legend(analysis, pairs))])
+        lines = terminal.table([shown.head, *rows], names=shown.left)
+        blocks.append("\n".join([*([shown.title] if shown.title else []), *lines]))
+    return "\n\n".join([*blocks, "\n".join(map(terminal.wrapped, legend(analysis, pairs)))])
 
 
 def markdown(analysis: SweepAnalysis, pairs: bool = True) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ....views.tables.terminal import table
 from ..published import claims as thesis_claims
 from ..published.outcome import Reproduction
 from .figures import FIGURES
@@ -12,11 +13,12 @@ from .figures import FIGURES
 
 def text(reproduction: Reproduction, folder: str) -> str:
     """What the command prints: counts, what lies outside its band, the folder of the files."""
-    lines = []
+    rows = []
     for label, row in reproduction.counts.items():
-        gate = f"{row['gated'] - row['outside']} of {row['gated']} in band" if row["gated"] else "not gated"
-        grades = ", ".join(f"{n} {name}" for name, n in row.items() if name.startswith("within"))
-        lines.append(f"{label}: {row['cells']} cells, {grades}; {gate}")
+        gate = f"{row['gated'] - row['outside']} of {row['gated']}" if row["gated"] else "not gated"
+        grades = {name: str(n) for name, n in row.items() if name.startswith("within")}
+        rows.append({"controller": label, "cells": str(row["cells"]), **grades, "in band": gate})
+    lines = table([list(rows[0]), *(list(row.values()) for row in rows)]) if rows else []
     if reproduction.claims:
         lines.append(thesis_claims.tally(reproduction.claims))
     if reproduction.figures:
