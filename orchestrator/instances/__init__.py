@@ -1,4 +1,8 @@
-"""FMUs that run: one interface, and what implements it for FMI 2.0, FMI 3.0, other processes and builtins."""
+"""FMUs that run.
+
+`instance` is the interface; `fmi2` and `fmi3` implement it over a `library` in this process, `isolated` in a process of
+its own, `live` for a builtin.
+"""
 
 from __future__ import annotations
 

@@ -39,16 +39,13 @@ HEAD = 256  # bytes
 ALIGNMENT = 64
 LOOKS = 4000  # at a counter before sleeping: about 0.2 ms
 FIRST_SLEEP, SLEEP = 1, 50  # ms; a waker may miss a sleeper that has just looked, which then looks again
-LONGEST_CALL = 60.0  # s, of what is no step, where steps have a limit
+LONGEST_CALL = 60.0  # s, of a call that is no step, where steps have a limit
 PATIENCE = 1.0  # s, after Ctrl-C, and for a process to end
 SAFE = platform.machine().lower() in ("x86_64", "amd64")  # others may show writes to memory out of order
 
 
 class ProcessLost(CallFailed):
     """The process of an instance ended, or does not answer."""
-
-    def __init__(self, message: str):
-        super().__init__(FATAL, message)
 
 
 class IsolatedInstance(BatchedInstance):
@@ -84,7 +81,7 @@ class IsolatedInstance(BatchedInstance):
         folder = "/dev/shm" if os.path.isdir("/dev/shm") else None
         here, there = socket.socketpair()
         self._wake, wake_child = socket.socketpair()
-        with tempfile.TemporaryFile(dir=folder) as file, there, wake_child:  # nothing of it has a name
+        with tempfile.TemporaryFile(dir=folder) as file, there, wake_child:  # without a name in any folder
             file.truncate(size)
             self._memory = mmap.mmap(file.fileno(), size)
             descriptors = [there.fileno(), wake_child.fileno(), file.fileno()]
@@ -151,7 +148,7 @@ class IsolatedInstance(BatchedInstance):
             return
         if self._lost:
             self._healthy = False
-            raise ProcessLost(self._lost)
+            raise ProcessLost(FATAL, self._lost)
         self._stepping = False  # it waits for calls after a failed step
         self._request("instance", "check", status)
 
@@ -218,13 +215,13 @@ class IsolatedInstance(BatchedInstance):
         return words[ANSWER] == asked
 
     def _wake_child(self) -> None:
-        with contextlib.suppress(OSError):  # it is gone, which the wait finds out
+        with contextlib.suppress(OSError):  # it has ended, which whoever waits for it finds out
             self._wake.send(b"!")
 
     def _request(self, method: str, *arguments: Any) -> Any:
-        """A call through the connection.  Raises ProcessLost, and whatever the call raises there."""
+        """Call a method of the child's Server.  Raises ProcessLost, and what the call raises there."""
         if self._lost:
-            raise ProcessLost(self._lost)
+            raise ProcessLost(FATAL, self._lost)
         if self._stepping:
             self._stepping = False
             self._counters[LEAVING] = 1
@@ -241,7 +238,7 @@ class IsolatedInstance(BatchedInstance):
         return answer
 
     def _await(self, done: Callable[[float], bool], timeout: float | None) -> None:
-        """Wait until it is done.  done: waits for so many ms.  Raises ProcessLost where that will not be."""
+        """Wait until it is done.  done: waits for so many ms.  Raises ProcessLost where it will not be."""
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         wait: float = FIRST_SLEEP
         while not done(wait):
@@ -258,7 +255,7 @@ class IsolatedInstance(BatchedInstance):
         self._lost = message
         self._healthy = False
         self._process.kill()
-        raise ProcessLost(message)
+        raise ProcessLost(FATAL, message)
 
     def _ending(self) -> str:
         """A message: how the process ended."""

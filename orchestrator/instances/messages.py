@@ -1,4 +1,4 @@
-"""What FMUs say through their loggers, kept by instance."""
+"""Messages that FMUs log, kept by instance."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ _MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of li
 
 
 def listen() -> tuple[int, deque[str]]:
-    """An environment for a new instance, and where its messages will be while somebody holds that."""
+    """An environment for a new instance, and the list that its messages go to while somebody keeps it."""
     environment, messages = next(_ENVIRONMENTS), deque[str](maxlen=KEPT)
     _MESSAGES[environment] = messages
     return environment, messages
 
 
 def keep(environment: int | None, status: int, message: bytes | None) -> None:
-    """Keep a message of the instance with that environment, where it is more than news."""
+    """Keep a message of the instance with that environment, unless its status is OK."""
     messages = _MESSAGES.get(environment or 0)
     if messages is not None and status > OK:
         messages.append(_plain((message or b"").decode(errors="replace")))
 
 
 def callbacks_for(environment: int, formats: bool) -> Any:
+    """fmi2CallbackFunctions of an instance; formats: as for `_callbacks`."""
     from fmpy.fmi2 import fmi2CallbackFunctions
 
     copy = fmi2CallbackFunctions.from_buffer_copy(_callbacks(formats)[0])
@@ -41,11 +42,11 @@ def callbacks_for(environment: int, formats: bool) -> Any:
 
 @cache
 def _callbacks(formats: bool) -> Any:
-    """The callbacks of every instance.  There is one logger, for FMPy's proxy, which formats printf-style messages,
-    remembers but one; it tells instances apart by their environment.
+    """The callbacks of all instances, and their logger, which must live as long as they do.
 
-    formats: False for pythonfmu's library, which hands the text of an exception over as a format: a "%s" in it would
-    read whatever lies in memory.
+    There is one logger, since FMPy's proxy, which formats printf-style messages, keeps only one; it tells instances
+    apart by their environment.  formats: False for pythonfmu's library, which gives the text of an exception as the
+    format: a "%s" in it would read arbitrary memory.
     """
     from fmpy.fmi2 import defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
     from fmpy.logging import addLoggerProxy
@@ -63,7 +64,7 @@ def _callbacks(formats: bool) -> Any:
 
 
 def _plain(message: str) -> str:
-    """The model's own words, without what pythonfmu's library puts around them."""
+    """The model's own message, without what pythonfmu's library puts around it."""
     text = " ".join(message.split())
     match = re.search(r"Fatal py exception encountered: \[\w+\] \w+ (.*)", text)
     if not match:
