@@ -120,6 +120,15 @@ def write(tmp_path):
 
 
 @pytest.fixture
+def without_pymavlink(tmp_path):
+    """A folder; a command with this in PYTHONPATH finds no pymavlink."""
+    folder = tmp_path / "without"
+    (folder / "pymavlink").mkdir(parents=True)
+    (folder / "pymavlink" / "__init__.py").write_text("raise ImportError('not here')")
+    return folder
+
+
+@pytest.fixture
 def resolve(shipped, write):
     """resolve(dictionary) -> the Plan, as `orch check` finds it, or ExperimentError."""
 

@@ -152,6 +152,21 @@ def test_what_cannot_be_shown_is_reported_before_anything_starts(orch, tmp_path)
     taken.close()
 
 
+@pytest.mark.parametrize("release", ["none", "without FTP"])
+def test_a_missing_or_old_pymavlink_is_reported_before_anything_starts(orch, without_pymavlink, release, tmp_path):
+    if release == "without FTP":  # before 2.4.50
+        (without_pymavlink / "pymavlink" / "__init__.py").write_text("")
+        (without_pymavlink / "pymavlink" / "dialects" / "v20").mkdir(parents=True)
+        dialect = without_pymavlink / "pymavlink" / "dialects" / "v20" / "ardupilotmega.py"
+        dialect.write_text("class MAVLink_message: pass")
+    environment = {**os.environ, "PYTHONPATH": str(without_pymavlink)}
+    answer = orch("run", GRIPPING, "--mavlink", "udpin:127.0.0.1:9", "--results", "none", env=environment)
+    assert answer.code == 2
+    assert "needs pymavlink 2.4.50 or later" in answer.err
+    assert 'pip install --upgrade "orch[mavlink]"' in answer.err
+    assert not (tmp_path / "none").exists()
+
+
 @pytest.mark.parametrize(
     ("changes", "key", "words"),
     [

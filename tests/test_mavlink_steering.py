@@ -1,6 +1,7 @@
 """Steering from outside: a joystick, set points, and ArduPilot's own software, as components."""
 
 import math
+import os
 import socket
 import subprocess
 import threading
@@ -258,7 +259,8 @@ def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_
     station.close()
 
 
-def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_path):
+def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, without_pymavlink, tmp_path):
+    """It speaks JSON: pymavlink is not needed."""
     port, h = free_port(), 0.0025
     ardusub = {"builtin": "ardupilot_json", "parameters": {"port": port}}
     connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
@@ -271,7 +273,8 @@ def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, tmp_p
     pilot = FakeArdupilot(port, hover(1.4, 0.4))
     thread = threading.Thread(target=pilot.fly, args=(3000,), daemon=True)
     thread.start()
-    answer = orch("run", write(table), "--output", "run.h5")
+    environment = {**os.environ, "PYTHONPATH": str(without_pymavlink)}
+    answer = orch("run", write(table), "--output", "run.h5", env=environment)
     assert answer.code == 0, answer.err
     run = datasets(tmp_path / "run.h5")
     assert run["vehicle/eta.z"][-1] == pytest.approx(1.4, abs=0.1)
