@@ -1,12 +1,11 @@
-"""The parts of the page that are text: what ran, how it ended, its numbers.  Everything from a record is escaped."""
+"""What the page says in words and numbers: what ran, how it ended, its metrics, what made its record."""
 
 from __future__ import annotations
 
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ... import metrics
@@ -15,127 +14,74 @@ from ...files import short
 if TYPE_CHECKING:
     from ...records.file.run import Run
 
-CUT = 12  # digits of a digest in a table
-
-
-def head(runs: Sequence[Run], labels: Sequence[str]) -> str:
-    """Titles, how each run ended, errors and warnings."""
-    several = len(runs) > 1
-    parts = [f"<h1>{escape(title)}</h1>" for title in dict.fromkeys(map(title_of, runs))]
-    parts.append('<ul class="runs">')
-    for i, (run, label) in enumerate(zip(runs, labels, strict=True)):
-        facts = run.attributes
-        good = "good" if run.status == "completed" else "bad"
-        chip = f'<i class="chip" data-colour="run{i}"></i>' if several else ""
-        last = f"{run.time[-1]:.6g} s" if len(run.time) else "no row"
-        parts.append(
-            f'<li>{chip}<b class="{good}">{escape(run.status)}</b> <span>{escape(label)}</span> <span class="soft">'
-            f"{last} in steps of {facts['step']:g} s, {escape(str(facts['algorithm']))}; "
-            f"wall time {facts['wall_time']:.3g} s, {facts['real_time_factor']:.3g} × real time</span></li>"
-        )
-    parts.append("</ul>")
-    for run in runs:
-        whose = f"{escape(run.run_id)}: " if several else ""
-        if error := run.attributes["error"]:
-            at = f" at t = {run.attributes['failed_at']:.10g} s" if "failed_at" in run.attributes else ""
-            what = f"<b>{whose}failed{at}.</b><pre>{escape(error)}</pre>"
-            parts.append(f'<div class="note bad" role="alert">{what}</div>')
-        if "stopped_at" in run.attributes:
-            parts.append(f'<p class="note">{whose}an FMU ended the run at {run.attributes["stopped_at"]:.10g} s.</p>')
-        parts += [f'<p class="note mid"><b>{whose}warning.</b> {escape(w)}</p>' for w in run.attributes["warnings"]]
-    return "\n".join(parts)
-
 
 def title_of(run: Run) -> str:
     return str(run.attributes["title"] or run.attributes["experiment"])
 
 
-def numbers(runs: Sequence[Run], labels: Sequence[str]) -> str:
-    """The metrics, runs beside each other; "" where there is none."""
-    specs: dict[str, Mapping[str, Any]] = {}
-    for run in runs:
-        specs |= run.attributes["experiment_resolved"].get("metrics", {})
-    values = [run.metrics for run in runs]
-    names = [name for name in specs if any(name in v for v in values)]
-    if not names:
-        return ""
-    units = {name: run.units(name) for run in reversed(runs) for name in run.signals}
-    rows = []
-    for name in names:
-        unit = metrics.unit_of(specs[name], units)
-        shown = [_number(v[name]) if name in v else "" for v in values]
-        rows.append([escape(name), *shown, "" if unit == "1" else escape(unit), escape(_meaning(specs[name]))])
-    heads = ["metric", *(labels if len(runs) > 1 else ["value"]), "unit", "of"]
-    return _section("metrics", "Metrics", table(heads, rows, words=(0, len(heads) - 2, len(heads) - 1)))
+def of(run: Run, label: str) -> dict[str, Any]:
+    """One run, for the head of the page and its last section.  label: its id and what tells it from the others."""
+    facts = run.attributes
+    last = f"{run.time[-1]:.6g} s" if len(run.time) else "no row"
+    return {
+        "id": run.run_id,
+        "label": label,
+        "status": run.status,
+        "completed": run.status == "completed",
+        "how": f"{last} in steps of {facts['step']:g} s, {facts['algorithm']}; "
+        f"wall time {facts['wall_time']:.3g} s, {facts['real_time_factor']:.3g} × real time",
+        "error": facts["error"],
+        "failed_at": f" at t = {facts['failed_at']:.10g} s" if "failed_at" in facts else "",
+        "stopped_at": f"an FMU ended the run at {facts['stopped_at']:.10g} s." if "stopped_at" in facts else "",
+        "warnings": facts["warnings"],
+        "made": [row for row in _made(run) if row[1]],
+        "components": _components(run),
+        "toml": facts["experiment_toml"],
+    }
 
 
-def provenance(runs: Sequence[Run]) -> str:
-    """What made each record, from the command line to the digests of the FMUs."""
-    parts = []
-    for i, run in enumerate(runs):
-        facts = run.attributes
-        made = [
-            ("record", escape(short(run.path))),
-            ("run id", _code(run.run_id)),
-            ("digest", _code(str(facts["digest"]))),
-            ("created", escape(str(facts["created"]))),
-            ("command", _code(shlex.join(facts["command"]))),
-            ("git commit", _code(str(facts["git_commit"])) if facts["git_commit"] else "unknown"),
-            ("versions", escape(", ".join(f"{name} {version}" for name, version in facts["versions"].items()))),
-            ("platform", escape(str(facts["platform"]))),
-            ("seed", escape(str(facts.get("seed", "")))),
-            ("rows", f"{len(run.time)} of {len(run.signals)} signals"),
-        ]
-        listed = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in made if value)
-        whole = f'<dl>{listed}</dl>{_components(run)}<details><summary>Experiment file</summary><pre tabindex="0">'
-        whole += f"{escape(str(facts['experiment_toml']))}</pre></details>"
-        if len(runs) > 1:
-            opened = " open" if i == 0 else ""
-            whole = f"<details{opened}><summary>Run {escape(run.run_id)}</summary>{whole}</details>"
-        parts.append(whole)
-    return _section("provenance", "Provenance", "\n".join(parts))
+def _made(run: Run) -> list[tuple[str, str, bool]]:
+    """Name, value, and whether it is code."""
+    facts = run.attributes
+    return [
+        ("record", short(run.path), False),
+        ("run id", run.run_id, True),
+        ("digest", str(facts["digest"]), True),
+        ("created", str(facts["created"]), False),
+        ("command", shlex.join(facts["command"]), True),
+        ("git commit", str(facts["git_commit"] or "unknown"), bool(facts["git_commit"])),
+        ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items()), False),
+        ("platform", str(facts["platform"]), False),
+        ("seed", str(facts.get("seed", "")), False),
+        ("rows", f"{len(run.time)} of {len(run.signals)} signals", False),
+    ]
 
 
-def _components(run: Run) -> str:
+def _components(run: Run) -> list[dict[str, str]]:
     rows = []
     for component in run.attributes["experiment_resolved"].get("components", []):
         name, fmu, digest = (str(component.get(key, "")) for key in ("name", "fmu", "fmu_sha256"))
         attributes = run.file[name].attrs if name in run.file else {}  # a component of which nothing was recorded
         packed = " ".join(str(attributes.get(key, "")) for key in ("packaging", "fmi_version"))
         parameters = ", ".join(f"{k} = {json.dumps(v)}" for k, v in component.get("parameters", {}).items())
-        rows.append(
-            [
-                escape(name),
-                escape(fmu),
-                escape(packed),
-                f'<code title="{escape(digest)}">{escape(digest[:CUT])}</code>',
-                f"<small>{escape(parameters)}</small>",
-            ]
-        )
-    heads = ["component", "FMU", "packaging, FMI", "SHA-256", "parameters"]
-    return table(heads, rows, words=range(5)) if rows else ""
+        rows.append({"name": name, "fmu": fmu, "packed": packed, "digest": digest, "parameters": parameters})
+    return rows
 
 
-def table(heads: Iterable[str], rows: Iterable[Sequence[str]], words: Iterable[int]) -> str:
-    """A table that scrolls within itself.  rows: HTML; words: the columns that are no numbers."""
-    left = set(words)
-    names = "".join(f'<th scope="col"{_align(i in left)}>{escape(name)}</th>' for i, name in enumerate(heads))
-    body = "".join(
-        "<tr>" + "".join(f"<td{_align(i in left)}>{cell}</td>" for i, cell in enumerate(row)) + "</tr>" for row in rows
-    )
-    return f'<div class="scroll" tabindex="0"><table><thead><tr>{names}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def _align(word: bool) -> str:
-    return ' class="word"' if word else ""
-
-
-def _section(anchor: str, title: str, body: str) -> str:
-    return f'<section id="{anchor}"><h2>{title}</h2>{body}</section>'
-
-
-def _code(text: str) -> str:
-    return f"<code>{escape(text)}</code>"
+def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
+    """The metrics as a table, runs beside each other.  words: the columns that are no numbers."""
+    specs: dict[str, Mapping[str, Any]] = {}
+    for run in runs:
+        specs |= run.attributes["experiment_resolved"].get("metrics", {})
+    values = [run.metrics for run in runs]
+    units = {name: run.units(name) for run in reversed(runs) for name in run.signals}
+    rows = []
+    for name in (name for name in specs if any(name in v for v in values)):
+        unit = metrics.unit_of(specs[name], units)
+        shown = [_number(v[name]) if name in v else "" for v in values]
+        rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[name])])
+    heads = ["metric", *(labels if len(runs) > 1 else ["value"]), "unit", "of"]
+    return {"heads": heads, "rows": rows, "words": (0, len(heads) - 2, len(heads) - 1)}
 
 
 def _number(value: float) -> str:

@@ -8,30 +8,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from html import escape
-from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from ...errors import OrchError
 from ...files import write_text
 from ...records.compare.labels import labels_of
 from ...records.compare.vehicles import vehicles
 from ..figures.diagram import diagram
+from ..pages import render
 from . import curves, facts, scene
 from .colours import colours
 
 if TYPE_CHECKING:
     from ...records.file.run import Run
 
-SCRIPTS = ("core.js", "plots.js", "body.js", "scene.js", "replay.js")  # in this order, in one function
-
 
 def write(runs: Sequence[Run], target: Path) -> Path:
     """Write the report of runs.  Raises OrchError without plotly, StoreError where the file cannot be written."""
-    text = page(runs)
-    return write_text(target, text)
+    return write_text(target, page(runs))
 
 
 def page(runs: Sequence[Run]) -> str:
@@ -52,35 +49,24 @@ def page(runs: Sequence[Run]) -> str:
         "groups": curves.groups(fleet),
         "replay": scene.replay(fleet),
     }
-    return Template(_text("template.html")).substitute(
-        title=escape(" · ".join(dict.fromkeys(map(facts.title_of, runs)))),
-        style=_text("style.css"),
-        head=facts.head(runs, labels),
+    titles = list(dict.fromkeys(map(facts.title_of, runs)))
+    return render(
+        "views/report/report.html",
+        title=" · ".join(titles),
+        titles=titles,
+        several=len(runs) > 1,
+        runs=[facts.of(run, label) for run, label in zip(runs, labels, strict=True)],
         metrics=facts.numbers(runs, labels),
         diagrams=_diagrams(runs),
-        provenance=facts.provenance(runs),
-        data=json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
-        plotly=get_plotlyjs().replace("</script", "<\\/script"),
-        script="\n".join(map(_text, SCRIPTS)),
+        data=Markup(json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")),
+        plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
     )
 
 
-def _diagrams(runs: Sequence[Run]) -> str:
-    """The systems of the runs, each once."""
+def _diagrams(runs: Sequence[Run]) -> list[dict[str, str]]:
+    """The systems of the runs, each once, and whose it is."""
     drawn: dict[str, list[str]] = {}
     for run in runs:
         names = [vehicle.name for vehicle in vehicles(run)] if len(run.time) else []
         drawn.setdefault(diagram(run.attributes["experiment_resolved"], names), []).append(run.run_id)
-    drawn.pop("", None)
-    several = len(drawn) > 1
-    figures = [
-        f'<figure class="scroll" tabindex="0">{svg}'
-        + (f"<figcaption>{escape(', '.join(whose))}</figcaption>" if several else "")
-        + "</figure>"
-        for svg, whose in drawn.items()
-    ]
-    return f'<section id="system"><h2>System</h2>{"".join(figures)}</section>' if figures else ""
-
-
-def _text(name: str) -> str:
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return [{"svg": Markup(svg), "runs": ", ".join(whose)} for svg, whose in drawn.items() if svg]

@@ -101,7 +101,8 @@ def _ecdf(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     axis.set_xlabel(column.head)
     axis.set_ylabel("share of the draws")
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=7)
+    if axis.lines:
+        axis.legend(fontsize=7)
 
 
 def _factors(table: SweepTable, over: Sequence[str]) -> tuple[str, str]:

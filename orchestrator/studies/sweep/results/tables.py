@@ -1,4 +1,4 @@
-"""The statistics as text: for the terminal, and as Markdown, CSV, LaTeX and HTML."""
+"""The statistics as text: for the terminal, and as Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 from ....records.compare.side_by_side import digits
 from ....views.tables import latex, terminal
@@ -25,6 +24,11 @@ class TextTable:
     rows: list[list[str]]
     left: int
     bold: list[bool]
+
+    @property
+    def best(self) -> list[tuple[int, int]]:
+        """The cells in bold: (row, column)."""
+        return [(row, self.left + 1) for row, is_bold in enumerate(self.bold) if is_bold]
 
 
 def text_tables(analysis: SweepAnalysis, pairs: bool = True) -> list[TextTable]:
@@ -173,24 +177,6 @@ def csv_text(analysis: SweepAnalysis, pairs: bool = True) -> str:
             last = map(repr, (p.difference, p.low, p.high, p.p, p.p_holm, p.effect))
             writer.writerow([p.metric.name, p.metric.unit, p.first, p.second, p.n, *last])
     return stream.getvalue().rstrip("\n")
-
-
-def html(analysis: SweepAnalysis) -> str:
-    blocks = []
-    for shown in text_tables(analysis):
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in shown.head)
-        body = "".join(
-            "<tr>"
-            + "".join(f"<td>{f'<b>{escape(c)}</b>' if bold and i == 3 else escape(c)}</td>" for i, c in enumerate(row))
-            + "</tr>"
-            for row, bold in zip(shown.rows, shown.bold, strict=True)
-        )
-        title = f"<h3>{escape(shown.title)}</h3>" if shown.title else ""
-        blocks.append(
-            f'{title}<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
-            f"<tbody>{body}</tbody></table></div>"
-        )
-    return "".join(blocks) + "".join(f'<p class="soft">{escape(line)}</p>' for line in legend(analysis))
 
 
 FORMATS = {"table": table, "markdown": markdown, "csv": csv_text, "latex": latex_text}
