@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all fuzz lint bench clean
+.PHONY: run test test-all fuzz lint reference bench clean
 
 run: $(VENV)/.installed
 	$(BIN)/orch run experiments/gripping_currents.toml
@@ -22,6 +22,9 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+reference: $(VENV)/.installed # after a change of the experiment file's keys
+	$(BIN)/python -m orchestrator.experiment.schema.reference docs/experiment.md
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/speed.py

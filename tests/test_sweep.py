@@ -158,7 +158,7 @@ def test_a_distribution_that_is_no_name_is_told(orch, sweep, write):
     sweep["sweep"]["vary"][MASS] = {"distribution": {"uniform": 1}}
     answer = orch("check", write(sweep))
     assert answer.code == 2
-    assert "distribution: no {'uniform': 1}" in answer.err
+    assert "distribution: is {'uniform': 1}, not a text" in answer.err
 
 
 def test_problems_of_a_combination_say_where(orch, sweep, write):

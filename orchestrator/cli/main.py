@@ -33,6 +33,7 @@ COMMANDS = {  # name: where it is, module:object of the package `commands`
     "reproduce": "studies:reproduce",
     "rerun": "run:rerun",
     "run": "run:run",
+    "schema": "models:schema",
     "show": "store:show",
     "sweep": "studies:sweep",
     "tune": "studies:tune",

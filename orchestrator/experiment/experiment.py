@@ -13,7 +13,7 @@ from .mavlink import MavlinkSpec
 from .timegrid import Grid
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MasterSpec:
     stop_time: float  # s
     step: float  # s, communication step
@@ -21,7 +21,7 @@ class MasterSpec:
     seed: int | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ComponentSpec:
     name: str
     fmu: str
@@ -34,7 +34,7 @@ class ComponentSpec:
     swapped: bool = False  # by --swap: may lack inputs that its predecessor had
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ConnectionSpec:
     """input = gain * output + offset, after the conversion of units."""
 
@@ -44,14 +44,14 @@ class ConnectionSpec:
     unit_check: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RecordSpec:
     every: float  # s
     signals: tuple[str, ...] = ("*",)
     inputs: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Experiment:
     path: Path
     text: str

@@ -18,11 +18,9 @@ from typing import Any
 
 from ..errors import Problem, did_you_mean
 from .keys import split_key
-from .sweep import SectionReader
-
-KEYS = ("objective", "goal", "component", "trials", "draws", "held_out", "search")
-GOALS = ("minimize", "maximize")
-SEARCHABLE = ("uniform", "loguniform", "integer", "choice")  # distributions
+from .schema.kinds import is_number
+from .schema.sections import GOALS, SEARCHABLE, TUNE
+from .sweep import distribution_problems
 
 Space = Mapping[str, Mapping[str, Any]]  # {parameter: its distribution}
 
@@ -54,70 +52,73 @@ def read(sweep: Mapping[str, Any], metrics: Mapping[str, Any]) -> tuple[TuneSpec
 
     metrics: those of the experiment, by name.
     """
-    reader = SectionReader("sweep.tune")
     table = sweep.get("tune", {})
     if not isinstance(table, dict) or not table:
-        reader.problem("", "is missing; give it objective, trials, draws, held_out and a search for each controller")
+        words = "is missing; give it objective, trials, draws, held_out and a search for each controller"
         nothing = TuneSpec(objective={}, goal=GOALS[0], component="", trials=1, draws=1, held_out=1, spaces={})
-        return nothing, reader.problems
-    reader.known(table, KEYS)
+        # What is no table at all is a problem of [sweep].
+        return nothing, [Problem("sweep.tune", words)] if isinstance(table, dict) else []
+    values, problems = TUNE.read(table, "sweep.tune")
+    objective = values.get("objective", {})
+    weights = {objective: 1.0} if isinstance(objective, str) else objective
+    component = values.get("component") or _varying_component(sweep)
+    if not component and "component" not in table:
+        words = "is missing; name the component whose parameters are tuned"
+        problems.append(Problem("sweep.tune.component", words))
     spec = TuneSpec(
-        goal=reader.one_of(table, "goal", GOALS),
-        objective=_objective(reader, table, metrics),
-        component=_component(reader, table, sweep),
-        trials=reader.whole(table, "trials", None, 1),
-        draws=reader.whole(table, "draws", None, 1),
-        held_out=reader.whole(table, "held_out", None, 1),
-        spaces=_spaces(reader, table.get("search")),
+        objective=weights,
+        goal=values["goal"],
+        component=component,
+        trials=values.get("trials", 1),
+        draws=values.get("draws", 1),
+        held_out=values.get("held_out", 1),
+        spaces={fmu: space for fmu, space in values.get("search", {}).items() if isinstance(space, dict)},
     )
-    return spec, reader.problems
+    if "objective" in values:
+        problems += _objective_problems(weights, metrics)
+    if "search" in values:
+        problems += _search_problems(values["search"])
+    return spec, problems
 
 
-def _objective(reader: SectionReader, table: Mapping[str, Any], metrics: Mapping[str, Any]) -> dict[str, float]:
-    given = table.get("objective")
-    weights = {given: 1.0} if isinstance(given, str) else given
-    if not isinstance(weights, dict) or not weights:
-        said = "is missing" if given is None else f"is {given!r}"
-        reader.problem("objective", f"{said}; name a metric, or give a table of metrics and their weights")
-        return {}
-    for name, weight in weights.items():
-        if name not in metrics:
-            reader.problem("objective", f"no metric {name!r}{did_you_mean(name, metrics)}")
-        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not math.isfinite(weight):
-            reader.problem(f"objective.{name}", f"is {weight!r}, not a finite number")
-    return weights
+def _objective_problems(weights: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[Problem]:
+    key = "sweep.tune.objective"
+    problems = [
+        Problem(key, f"no metric {name!r}{did_you_mean(name, metrics)}") for name in weights if name not in metrics
+    ]
+    problems += [
+        Problem(f"{key}.{name}", f"is {weight!r}, not a finite number")
+        for name, weight in weights.items()
+        if not is_number(weight)
+    ]
+    if not weights:
+        problems.append(Problem(key, "is empty; name a metric, or give a table of metrics and their weights"))
+    return problems
 
 
-def _component(reader: SectionReader, table: Mapping[str, Any], sweep: Mapping[str, Any]) -> str:
-    """The component that is named, or the one whose FMU varies."""
+def _varying_component(sweep: Mapping[str, Any]) -> str:
+    """The component whose FMU varies, "" unless it is exactly one."""
     vary = sweep.get("vary", {})
-    keys = vary if isinstance(vary, dict) else {}
-    parts = [split_key(key) for key in keys]
+    parts = [split_key(key) for key in vary] if isinstance(vary, dict) else []
     varying = [p[1] for p in parts if len(p) == 3 and p[0] == "components" and p[2] == "fmu"]
-    given = table.get("component", varying[0] if len(varying) == 1 else None)
-    if not isinstance(given, str):
-        said = "is missing" if given is None else f"is {given!r}"
-        reader.problem("component", f"{said}; name the component whose parameters are tuned")
-        return ""
-    return given
+    return varying[0] if len(varying) == 1 else ""
 
 
-def _spaces(reader: SectionReader, table: Any) -> dict[str, Space]:
-    if not isinstance(table, dict) or not table:
-        reader.problem(
-            "search",
-            "is missing; give each controller a table of the parameters to tune, such as [sweep.tune.search.pid]",
-        )
-        return {}
-    for fmu, space in table.items():
+def _search_problems(search: Mapping[str, Any]) -> list[Problem]:
+    key = "sweep.tune.search"
+    problems = []
+    if not search:
+        words = "is empty; give each controller a table of the parameters to tune, such as [sweep.tune.search.pid]"
+        problems.append(Problem(key, words))
+    for fmu, space in search.items():
         if not isinstance(space, dict) or not space:
-            reader.problem(f"search.{fmu}", "is not a table of parameters and their distributions")
+            problems.append(Problem(f"{key}.{fmu}", "is not a table of parameters and their distributions"))
             continue
         for name, entry in space.items():
-            key = f'search.{fmu}."{name}"'
-            if not isinstance(entry, dict) or entry.get("distribution") not in SEARCHABLE:
-                said = entry.get("distribution") if isinstance(entry, dict) else entry
-                reader.problem(key, f"no distribution {said!r}{did_you_mean(str(said), SEARCHABLE)}")
+            where = f'{key}.{fmu}."{name}"'
+            given = entry.get("distribution") if isinstance(entry, dict) else entry
+            if isinstance(entry, dict) and given in SEARCHABLE:
+                problems += distribution_problems(where, entry)
             else:
-                reader.distribution(key, entry)
-    return {fmu: space for fmu, space in table.items() if isinstance(space, dict)}
+                problems.append(Problem(where, f"no distribution {given!r}{did_you_mean(str(given), SEARCHABLE)}"))
+    return problems

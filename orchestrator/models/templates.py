@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import OrchError
+from ..experiment.schema.reference import SCHEMA
 from .catalogue import shipped
 
 CONTROLLER = '''"""{name}: say here what your controller does; the first paragraph becomes the FMU's description."""
@@ -36,7 +37,8 @@ class {classname}(PythonModel):
         self.tau = np.array([*force, moment[0], 0, moment[2]])
 '''
 
-EXPERIMENT = """# {name}: say here what this experiment shows.
+EXPERIMENT = """#:schema {schema}
+# {name}: say here what this experiment shows; the line above lets editors complete and check it.
 title = "A BlueROV2 follows a spiral"
 
 [master]
@@ -96,7 +98,7 @@ def write(kind: str, name: str) -> tuple[Path, str]:
         raise OrchError(f"{stem!r} is the name of a model that comes with orch; choose another")
     path = Path(f"{stem}.py" if kind == "controller" else f"{stem}.toml")
     text = (CONTROLLER if kind == "controller" else EXPERIMENT).format(
-        name=stem, classname="".join(word.capitalize() for word in stem.split("_"))
+        name=stem, classname="".join(word.capitalize() for word in stem.split("_")), schema=SCHEMA.as_uri()
     )
     try:
         with path.open("x", encoding="utf-8") as file:

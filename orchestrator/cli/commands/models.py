@@ -89,6 +89,20 @@ def new(kind: str, name: str) -> None:
 
 
 @click.command()
+def schema() -> None:
+    """Print the JSON Schema of experiment files, with which editors complete and check them.
+
+    \b
+    orch schema > experiment.schema.json
+    and as the first line of an experiment beside it, as `orch new experiment` writes one:
+    #:schema ./experiment.schema.json
+    """
+    from ...experiment.schema.reference import json_schema
+
+    click.echo(json_schema(), nl=False)
+
+
+@click.command()
 @json_option
 def doctor(as_json: bool) -> None:
     """Say what this machine has, and what is missing for what."""

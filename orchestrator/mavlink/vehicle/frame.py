@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import OrchError, did_you_mean
-from ...experiment.mavlink import PWM_MAPS
+from ...experiment.schema.sections import PWM_MAPS
 
 if TYPE_CHECKING:
     from ...arrays import Reals
