@@ -38,7 +38,7 @@ class Builtin(Protocol):
         """Outputs at the start; may be called several times."""
 
     def listen(self, t: float, inputs: Reals) -> Reals:
-        """What the world says at t [s], always of the same length.  Raises OrchError if it is silent for too long."""
+        """What comes from outside at t [s], always (m,).  Raises OrchError if nothing comes for too long."""
 
     def step(self, t: float, h: float, inputs: Reals, heard: Reals) -> Reals:
         """Outputs from t [s] on, after the step to t + h."""

@@ -32,7 +32,7 @@ class Library:
         platform, suffix = platform_folder(fmu.version)
         path = folder / "binaries" / platform / f"{fmu.model_identifier}{suffix}"
         try:
-            # Not through FMPy's bindings, which refuse a library that lacks a function nobody calls.
+            # Not through FMPy's bindings, which refuse a library that lacks a function that is not called.
             self._library = ctypes.CDLL(str(path))
         except OSError as error:
             raise FmuError(f"{fmu.path} cannot be loaded: {error}") from None

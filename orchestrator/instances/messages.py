@@ -18,7 +18,7 @@ _MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of li
 
 
 def listen() -> tuple[int, deque[str]]:
-    """An environment for a new instance, and the list that its messages go to while somebody keeps it."""
+    """An environment for a new instance, and the list that its messages go to as long as it exists."""
     environment, messages = next(_ENVIRONMENTS), deque[str](maxlen=KEPT)
     _MESSAGES[environment] = messages
     return environment, messages

@@ -171,7 +171,7 @@ class _Newton:
             left = self._residual(moved)
             if np.isfinite(left).all() and np.linalg.norm(left) < np.linalg.norm(residual):
                 return moved, left
-        raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains, and no step lessens it")
+        raise self._failure(f"a difference of {np.abs(residual).max():.3g} remains, and no step reduces it")
 
     def _jacobian(self, x: Reals) -> Reals:
         columns = []

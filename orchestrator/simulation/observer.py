@@ -104,7 +104,7 @@ class Outcome:
     failed_at: float | None = None
     stopped_at: float | None = None
     last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
-    heard: dict[str, list[tuple[float, Reals]]] = field(default_factory=dict)  # by live components: see instances.live
+    heard: dict[str, list[tuple[float, Reals]]] = field(default_factory=dict)  # by live components
     warnings: list[str] = field(default_factory=list)
     timing: dict[str, Any] = field(default_factory=dict)  # see timing
     calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component

@@ -1,12 +1,12 @@
 """What the compiled loop is given: a system as numbers, addresses and arrays.
 
 `_loop.c` reads these tuples field by field and exports, as LAYOUT, which fields, kinds and moments it was compiled for.
-`layout` says the same of this side; a library that was built from other sources is found out by comparing them.
+`layout` is the same of this side: where the two differ, the library was built from other sources.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class CallProgram(NamedTuple):
     values: Table
     sources: Places | None  # of a setter: values[targets] = table[sources]
     targets: Places | None
-    conversions: Any  # (n,) of CONVERSION, or None
+    conversions: Table | None  # (n,) of CONVERSION
 
 
 class PublicationProgram(NamedTuple):
@@ -76,6 +76,7 @@ class Program(NamedTuple):
 
 
 def program_of(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Program:
+    """The program of an opened system.  The system must stay open while it is used."""
     plan = system.plan
     return Program(
         steppers=[_stepper(stepper) for stepper in system.steppers],

@@ -15,11 +15,11 @@ from ..fmu.variables import FLOATS, Variable
 from ..instances.instance import ERROR, Call, CallFailed, Instance, references_of
 from ..plan.plan import Component
 
-Action = Callable[[], Any]
+Action = Callable[[], object]
 
 
 class Moment(IntEnum):
-    """When what a component has computed becomes visible to the others; `master` says why."""
+    """When what a component has computed becomes visible to the others: see `master`."""
 
     AT_ONCE = 0
     TICK_END = 1

@@ -36,7 +36,7 @@ _loaded_modules: dict[str, str] = {}  # by Python FMUs of this process: their di
 
 
 class FmuSource:
-    """Where unpacked and loaded FMUs come from: here from their files, each time anew."""
+    """Where unpacked and loaded FMUs come from: here from their files, every time."""
 
     def unpack(self, fmu: Fmu, folder: Path) -> None:
         """Put the FMU's files into the folder.  Raises FmuError."""
