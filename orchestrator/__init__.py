@@ -32,11 +32,18 @@ __all__ = [
 ]
 
 
+_HOMES = {"run": "runs.runner", "Run": "records.file.run", "open_run": "records.store.folder"}
+
+
 def __getattr__(name: str) -> Any:
-    """Import the rest when it is asked for: the command line needs little of it, and fast."""
+    """Import the rest at its first use: the command line needs little of it, and fast."""
     import importlib
 
-    homes = {"run": "runs.runner", "Run": "records.file.run", "open_run": "records.store.folder"}
-    if name not in homes:
+    if name not in _HOMES:
         raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
-    return getattr(importlib.import_module(f".{homes[name]}", __name__), name)
+    return getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    """What completion offers: the public names."""
+    return __all__

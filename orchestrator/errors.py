@@ -1,8 +1,8 @@
 """What can go wrong, as a tree.
 
-OrchError                 everything a user can cause or meet; its text is a sentence for him
-  ExperimentError         the experiment file or its FMUs do not fit: nothing was started (exit 2)
-  FmuError                one FMU cannot be read, built or loaded (exit 2)
+OrchError                 anything that is reported as an error message, without a traceback
+  ExperimentError         the experiment file or its FMUs have problems: nothing was started (exit 2)
+  FmuError                an FMU cannot be read, built or loaded (exit 2)
   StoreError              a record cannot be found, read or written (exit 2)
   RunError                the run itself failed; `.run` is open on the record (exit 3)
 """
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 
 class OrchError(Exception):
-    """A sentence that says where, what, and what would do."""
+    """An error message that says where, what, and what would do."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that does not fit.  `key`: the dotted key in the file, "" for the file as a whole."""
+    """One problem of a file.  key: the dotted key, "" for the file as a whole."""
 
     key: str
     sentence: str
@@ -55,6 +55,8 @@ class StoreError(OrchError):
 
 
 class RunError(OrchError):
+    """A run that failed.  run: its record, open, as an `orchestrator.Run`; None where the record cannot be read."""
+
     exit_code = 3
 
     def __init__(self, message: str, run: Signals | None = None):
@@ -63,11 +65,14 @@ class RunError(OrchError):
 
 
 def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:
-    """ "; did you mean 'eta'?  known: eta, nu" or what of it there is to say."""
+    """The end of a message on a name that does not exist: "; did you mean 'eta'?  known: eta, nu".
+
+    A part that does not apply is left out.
+    """
     choices = list(choices)
     lower = {choice.lower(): choice for choice in choices}
     near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
-    near += [lower[found] for found in difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)]
+    near += [lower[match] for match in difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)]
     hint = f"; did you mean {near[0]!r}?" if near else ";"
     if not choices:
         return f"{hint} there is none" if near else ""
@@ -76,6 +81,6 @@ def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:
 
 
 def no_such_file(path: Path, suffix: str, otherwise: Path | None = None) -> str:
-    """What to say of a file that is not there: which files with that suffix are, beside it or `otherwise`."""
+    """The message for a file that does not exist, with the files of that suffix beside it, or in `otherwise`."""
     folder = path.parent if path.parent.is_dir() or not otherwise else otherwise
     return f"no such file{did_you_mean(path.name, sorted(p.name for p in folder.glob(f'*{suffix}')), f'in {folder}')}"

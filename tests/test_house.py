@@ -112,6 +112,8 @@ def test_the_public_face_is_what_the_contract_promises():
     names = {"ExperimentError", "FmuError", "OrchError", "Run", "RunError", "StoreError", "open_run", "run"}
     assert set(orchestrator.__all__) == names | {"__version__"}
     assert all(getattr(orchestrator, name) is not None for name in orchestrator.__all__)
+    assert set(dir(orchestrator)) == names | {"__version__"}  # what completion offers
+    assert (PACKAGE / "py.typed").is_file()  # type checkers read the signatures
     with pytest.raises(AttributeError, match="no attribute 'runn'"):
         orchestrator.runn  # noqa: B018
 

@@ -172,6 +172,18 @@ def test_inputs_that_keep_the_fmu_s_own_values_are_recorded_as_such(recorded, pr
         assert one["hidden"].attrs["causality"] == "local"
 
 
+def test_a_run_shows_what_it_is_and_completes_its_names(recorded, chained, spiral):
+    with orchestrator.open_run(recorded(chained)) as run:
+        assert repr(run) == f"<Run mine {run.run_id}: completed, 6 rows>"
+        assert "a.words" in run._ipython_key_completions_()
+        path = run.path
+    assert repr(run) == f"<Run {path}: closed>"
+    with orchestrator.open_run(recorded(spiral)) as run:
+        names = run._ipython_key_completions_()
+        assert {"vehicle.eta", "vehicle.eta.x"} <= set(names)
+        assert all(len(run[name]) == len(run.time) for name in names)
+
+
 def test_python_reads_texts_as_texts(recorded, chained):
     with orchestrator.open_run(recorded(chained)) as run:
         assert run["a.words"].tolist()[1] == "grüß dich 4"

@@ -66,7 +66,7 @@ def list_(
     from ...records.store import filters as listing
     from ...views.tables.terminal import table, tied
 
-    filters = listing.Filters(experiment, status, since, before, where)
+    filters = listing.Filters(experiment=experiment, status=status, since=since, before=before, where=where)
     found = listing.choose(Path(results), filters)
     found = listing.ordered(found, sort, reverse) if sort else found if reverse else found[::-1]
     found = found[:limit]
@@ -111,9 +111,9 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
     orch prune --where "master.step > 0.001" --yes
     """
     from ...records.store import filters as listing
-    from ...records.store.prune import Stays, delete
+    from ...records.store.prune import NotDeleted, delete
 
-    filters = listing.Filters(experiment, status, since, before, where)
+    filters = listing.Filters(experiment=experiment, status=status, since=since, before=before, where=where)
     if not filters:
         raise OrchError("prune deletes what passes its filters; give one, such as --status failed")
     passes = listing.passing(filters)
@@ -125,7 +125,7 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
         try:
             if yes:
                 delete(path, passes)
-        except Stays as error:
+        except NotDeleted as error:
             kept.append(f"{files.short(path)} stays: {error}")
         else:
             gone.append(run)

@@ -1,4 +1,9 @@
-"""Who is writing a record, and how to read one meanwhile."""
+"""Whether a process is writing a record, and how to read a record that is being written.
+
+HDF5 locks the files that it has open (https://github.com/h5py/h5py/issues/712).  The writer keeps its lock, which shows
+that the run goes on; readers open without one (https://github.com/h5py/h5py/issues/1722), and read again where they met
+the file between two of its states.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +19,14 @@ from .format import FORMAT
 
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
 
-# What h5py raises at a file that is damaged, or being written.
+# What h5py raises where a file is damaged, or is being written.
 UNREADABLE = (OSError, KeyError, RuntimeError, ValueError)
 
 T = TypeVar("T")
 
 
 def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True) -> T:
-    """Try again for a while where a file cannot be opened, or lacks an attribute.  Raises the last error."""
+    """Repeat an action that raises one of UNREADABLE, for a while and as long as `while_` holds; then let it raise."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:
@@ -33,11 +38,11 @@ def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True
 
 
 def opened(path: Path) -> h5py.File:
-    """The file, with its attributes.  Raises OSError where it has none, or none yet."""
+    """A record, opened.  Raises OSError where the file has not, or not yet, the attributes of one."""
     file = h5py.File(path, "r", locking=False)
     if "hostname" not in file.attrs or file.attrs["format"] != FORMAT:
         file.close()
-        raise OSError("it says nothing of one")
+        raise OSError("it does not have the attributes of one")
     return file
 
 
@@ -52,13 +57,13 @@ def is_locked(path: Path) -> bool:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # it is gone, or on a file system without locks
+    except OSError:  # it was deleted, or is on a file system without locks
         pass
     return False
 
 
 def is_taken(path: Path) -> bool:
-    """Whether a process is writing the file, or is about to: between creating and locking it there is an instant."""
+    """Whether a process is writing the file, or is about to: a writer creates a file an instant before it locks it."""
     deadline = time.monotonic() + PATIENCE
     while not is_locked(path):
         if not path.exists() or _is_record(path) or time.monotonic() > deadline:
@@ -76,7 +81,7 @@ def _is_record(path: Path) -> bool:
 
 
 def _is_locked_for_hdf5(path: Path) -> bool:
-    """The same through HDF5, which says nothing of a file that this process has open."""
+    """The same through HDF5, which sees no lock of this process."""
     try:
         with h5py.File(path, "r", locking=True):
             return False
@@ -87,7 +92,7 @@ def _is_locked_for_hdf5(path: Path) -> bool:
 
 
 def being_written(path: Path) -> StoreError:
-    """What to say of a record that another process writes."""
+    """The error for a record that another process is writing."""
     try:
         with patiently(lambda: opened(path)) as file:
             writer = f"process {file.attrs['pid']} on {file.attrs['hostname']}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 FORMAT = "orch-run"
 FORMAT_VERSION = 1
 ID_LENGTH = 10  # hex digits of the digest that make a run id
-HEARD = "_heard"  # a group: what components heard from outside
+HEARD = "_heard"  # group of what live components received from outside
 # Attributes in JSON.
 JSON = (
     "experiment_resolved",

@@ -1,4 +1,4 @@
-"""What is known of a run before it begins: the attributes of its record."""
+"""The attributes of a record that are known before the run starts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PACKAGES = ("orch", "numpy", "h5py", "FMPy", "pythonfmu", "casadi")
 
 
 def attributes_of(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """What is known of a run before it begins."""
+    """{attribute: value}.  facts: those that are known already, in place of those that would be determined here."""
     experiment = plan.experiment
     attributes = {
         "format": FORMAT,
@@ -68,15 +68,15 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that decide the numbers."""
     import importlib.metadata
 
-    found = {"python": platform.python_version()}
+    result = {"python": platform.python_version()}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found
+            result[package] = importlib.metadata.version(package)
+    return result
 
 
 def git_commit(folder: Path) -> str:
-    """The commit that the experiment's folder is at, with "-dirty" where files differ from it; "" without git."""
+    """The commit of the experiment's folder, with "-dirty" if files differ from it; "" without git."""
     command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

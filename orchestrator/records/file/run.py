@@ -1,4 +1,4 @@
-"""The record of a run, read: one HDF5 file.  The format is described in docs/record.md; `recorder` writes it."""
+"""Reads the record of a run, one HDF5 file.  docs/record.md describes the format; `recorder` writes it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from ... import warning
 from ...errors import StoreError, did_you_mean
+from ...names import split_axis
 from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
 from .format import HEARD, JSON
@@ -21,18 +22,21 @@ from .format import HEARD, JSON
 if TYPE_CHECKING:
     import pandas as pd
 
+    from ...arrays import Reals, Table
+
 T = TypeVar("T")
 
 
 class Run:
     """A read-only handle on a record.
 
-    run["vehicle1.eta.x"] is its (N,) array, run["vehicle1.eta"] the (N, 6) array of a vector, run.time the times [s].
-    An array of FMI 3.0 is one signal, run["camera.image"] (N, *shape), and run["camera.image[1,2]"] an element of it.
+    run["vehicle1.eta.x"] is a signal (N,), run["vehicle1.eta"] a vector (N, 6), run.time the times (N,) [s].  An array
+    of FMI 3.0 is one signal, run["camera.image"] (N, *shape), and run["camera.image[1,2]"] is one of its elements.
     Raises StoreError where the file is no record.
     """
 
     def __init__(self, path: str | Path, file: h5py.File | None = None):
+        """file: of that path, if it is open already."""
         self.path = Path(path)
         self._signals: list[str] = []
         self._lent = file is not None
@@ -49,7 +53,8 @@ class Run:
         return file
 
     def _get(self, what: str, read: Callable[[h5py.File], T]) -> T:
-        """Read from the file; while it is being written, what HDF5 knows of it gets out of date: then open it again."""
+        """Read from the file.  While it is being written, what HDF5 has cached may be out of date: then it is opened
+        again."""
         deadline = time.monotonic() + PATIENCE
         while True:
             try:
@@ -69,33 +74,48 @@ class Run:
     def close(self) -> None:
         self.file.close()
 
-    def __getitem__(self, name: str) -> Any:
+    def __repr__(self) -> str:
+        if not self.file:
+            return f"<Run {self.path}: closed>"
+        experiment = self._get("the experiment", lambda file: file.attrs["experiment"])
+        return f"<Run {experiment} {self.run_id}: {self.status}, {self._length} rows>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Names of vectors and signals: what IPython and Jupyter complete run[" with."""
+        vectors = dict.fromkeys(head for head, axis in map(split_axis, self.signals) if axis)
+        return [*vectors, *self.signals]
+
+    def __getitem__(self, name: str) -> Table:
         if name in self.signals:
             return self._read(name)
         array, _, place = name.rstrip("]").rpartition("[")
         if array in self.signals and name.endswith("]"):
             values, index = self._read(array), tuple(int(n) - 1 for n in place.split(",") if n.isdecimal())
             if len(index) == values.ndim - 1 and all(0 <= i < n for i, n in zip(index, values.shape[1:], strict=True)):
-                return values[(slice(None), *index)]
+                element: Table = np.moveaxis(values, 0, -1)[index]
+                return element
         axes = [s for s in self.signals if s.startswith((name + ".", name + "[")) and "." not in s[len(name) + 1 :]]
         if not axes:
             near = did_you_mean(name, sorted({s.rpartition(".")[0] for s in self.signals}), "recorded")
             raise KeyError(f"{self.path} has no signal {name!r}{near}")
         return np.column_stack([self._read(axis) for axis in axes])
 
-    def _read(self, name: str) -> Any:
+    def _read(self, name: str) -> Table:
         component, _, variable = name.partition(".")
 
-        def values(file: h5py.File) -> Any:
+        def values(file: h5py.File) -> Table:
             dataset = file[component][variable]
             is_text = h5py.check_string_dtype(dataset.dtype) is not None
-            return (dataset.asstr() if is_text else dataset)[: self._length]
+            rows: Table = (dataset.asstr() if is_text else dataset)[: self._length]
+            return rows
 
         return self._get(name, values)
 
     @property
-    def time(self) -> Any:
-        return self._get("the time", lambda file: file["time"][: self._length])
+    def time(self) -> Reals:
+        """(N,) [s]."""
+        time: Reals = self._get("the time", lambda file: file["time"][: self._length])
+        return time
 
     @property
     def signals(self) -> list[str]:
@@ -105,6 +125,7 @@ class Run:
         return self._signals
 
     def units(self, name: str) -> str:
+        """The unit of a signal, "1" where it has none."""
         component, _, variable = name.partition(".")
         if name not in self.signals and name.endswith("]"):
             variable = variable.rpartition("[")[0]
@@ -114,20 +135,20 @@ class Run:
         """An attribute of a component, such as fmu_sha256 or packaging."""
         return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
 
-    def heard(self, component: str) -> tuple[Any, Any] | None:
-        """What a component heard from outside: times [s] at which it changed (M,), values (M, n).  None: nothing."""
+    def heard(self, component: str) -> tuple[Reals, Reals] | None:
+        """What a live component received: the times [s] at which it changed (M,), and the values (M, n); or None."""
 
-        def values(file: h5py.File) -> tuple[Any, Any] | None:
+        def values(file: h5py.File) -> tuple[Reals, Reals] | None:
             group = file.get(f"{HEARD}/{component}")
             return None if group is None else (group["time"][:], group["values"][:])
 
-        return self._get("what it heard", values)
+        return self._get(f"what {component} received", values)
 
     @property
     def attributes(self) -> dict[str, Any]:
         """The root attributes, JSON decoded."""
-        found = self._get("its attributes", lambda file: dict(file.attrs))
-        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
+        stored = self._get("its attributes", lambda file: dict(file.attrs))
+        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in stored.items()}
         return {name: json.loads(value) if name in JSON else value for name, value in values.items()}
 
     @property
@@ -138,7 +159,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """completed, failed, interrupted, running, or "interrupted (killed)" where nobody writes it any more."""
+        """completed, failed, interrupted, running, or "interrupted (killed)" where no process writes it any more."""
         status = self._get("its status", lambda file: str(file.attrs["status"]))
         return "interrupted (killed)" if status == "running" and not is_locked(self.path) else status
 
@@ -148,6 +169,7 @@ class Run:
 
     @property
     def metrics(self) -> dict[str, float]:
+        """{metric: number}, nan where it has none."""
         return {name: math.nan if v is None else float(v) for name, v in self.attributes["metrics"].items()}
 
     @property
@@ -167,7 +189,7 @@ class Run:
         columns = {name: values for signal in self.signals for name, values in self._columns(signal)}
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
 
-    def _columns(self, signal: str) -> Iterator[tuple[str, Any]]:
+    def _columns(self, signal: str) -> Iterator[tuple[str, Table]]:
         values = self._read(signal)
         for index in np.ndindex(values.shape[1:]):
             place = ",".join(str(i + 1) for i in index)
@@ -180,7 +202,7 @@ def _signals(file: h5py.File) -> list[str]:
 
 
 def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
-    """Names of all datasets; those of variables whose names contain a slash lie in groups of their own."""
+    """Names of all datasets; a variable whose name contains a slash lies in a group of its own."""
     for name, item in group.items():
         if isinstance(item, h5py.Group):
             yield from _datasets(item, f"{above}{name}/")

@@ -7,24 +7,24 @@ import datetime
 import fnmatch
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...errors import OrchError, did_you_mean
 from . import index, query
+from .query import Facts
 
-UNITS = {"min": 60, "h": 3600, "d": 86400, "w": 604800}  # s
+AGES = {"min": 60, "h": 3600, "d": 86400, "w": 604800}  # s
 STATUSES = ("completed", "failed", "interrupted", "interrupted (killed)", "running", index.CORRUPT)
 COLUMNS = ("run_id", "experiment", "status", "created", "real_time_factor")
 
-Facts = Mapping[str, Any]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Filters:
-    """experiment and status: globs; since and before: a date or an age such as 3d; where: see `where`."""
+    """Which runs to choose.  experiment, status: globs; since, before: a date or an age such as 3d; where: an
+    expression, see `query`."""
 
     experiment: str = ""
     status: str = ""
@@ -37,14 +37,14 @@ class Filters:
 
 
 def choose(folder: Path, filters: Filters) -> list[Facts]:
-    """The runs of a store that pass all filters, oldest first.  Raises OrchError for a filter that means nothing."""
+    """The runs of a store that pass all filters, oldest first.  Raises OrchError for a filter that is not valid."""
     expression, passes = _expression(filters), _simply(filters)
-    found: list[Facts] = [run for run in index.runs(folder) if passes(run)]
-    return expression.choose(found) if expression else found
+    matches: list[Facts] = [run for run in index.runs(folder) if passes(run)]
+    return expression.choose(matches) if expression else matches
 
 
 def passing(filters: Filters) -> Callable[[Facts], bool]:
-    """Whether one run passes all filters.  Raises OrchError for a filter that means nothing."""
+    """Whether one run passes all filters.  Raises OrchError for a filter that is not valid."""
     expression, passes = _expression(filters), _simply(filters)
     return lambda run: passes(run) and (expression is None or expression.holds(run))
 
@@ -71,7 +71,7 @@ def _simply(filters: Filters) -> Callable[[Facts], bool]:
 
 
 def ordered(runs: Sequence[Facts], key: str, reverse: bool) -> list[Facts]:
-    """Sorted by a dotted name, those that lack it last.  Raises OrchError where all do."""
+    """Sorted by a dotted name, runs that lack it last.  Raises OrchError where all do."""
     has = [run for run in runs if query.lookup(run, key) is not None]
     if runs and not has:
         raise OrchError(f"--sort {key}: no run has it")
@@ -117,11 +117,11 @@ def _parsed(created: str) -> datetime.datetime:
 
 
 def _moment(text: str) -> datetime.datetime | None:
-    """A date and time, local where it names no zone, or that long ago."""
+    """A date and time, local if it names no zone, or an age before now.  Raises OrchError."""
     if not text:
         return None
     if match := re.fullmatch(r"(\d+(?:\.\d+)?)\s*(min|h|d|w)", text):
-        age = datetime.timedelta(seconds=float(match[1]) * UNITS[match[2]])
+        age = datetime.timedelta(seconds=float(match[1]) * AGES[match[2]])
         return datetime.datetime.now(datetime.UTC) - age
     try:
         return _parsed(text)

@@ -21,17 +21,17 @@ class Store:
 
     def records(self) -> list[Path]:
         """All records, oldest first; folders that begin with _ are ignored."""
-        found = []
+        records = []
         for path in self.folder.glob("*/*.h5"):
             if not path.parent.name.startswith("_"):
-                with contextlib.suppress(OSError):  # it vanished meanwhile
-                    found.append((path.stat().st_mtime_ns, path))
-        return [path for _, path in sorted(found)]
+                with contextlib.suppress(OSError):  # it was deleted meanwhile
+                    records.append((path.stat().st_mtime_ns, path))
+        return [path for _, path in sorted(records)]
 
     def find(self, run: str) -> Path:
-        """The record that RUN means: a run id, a unique prefix of one, a file, or "last".
+        """The record that RUN names: a run id, a unique prefix of one, a file, or "last".
 
-        Raises StoreError where it means none, or several.
+        Raises StoreError where it names none, or several.
         """
         if Path(run).is_file():
             return Path(run)
@@ -40,16 +40,16 @@ class Store:
             if not records:
                 raise StoreError(f"{self.folder} holds no record; run an experiment first")
             return records[-1]
-        found = [p for p in records if p.stem == run] or [p for p in records if p.stem.startswith(run)]
-        if found and len({p.stem for p in found}) == 1:  # sweeps share runs: the record that holds most of it
-            return max(found, key=lambda p: p.stat().st_size)
-        if found:
-            raise StoreError(f"{run!r} means several records: {', '.join(map(str, found[:6]))}; give more of the id")
+        matches = [p for p in records if p.stem == run] or [p for p in records if p.stem.startswith(run)]
+        if matches and len({p.stem for p in matches}) == 1:  # sweeps share runs: the record that holds most of it
+            return max(matches, key=lambda p: p.stat().st_size)
+        if matches:
+            raise StoreError(f"{run!r} means several records: {', '.join(map(str, matches[:6]))}; give more of the id")
         near = did_you_mean(run, [p.stem for p in records], "there are")
         raise StoreError(f"no record {run!r} in {self.folder}{near}")
 
     def place(self, experiment: str, digest: str) -> tuple[str, Path]:
-        """Run id and file of a digest; a file of another digest with the same prefix lengthens the id."""
+        """Run id and file for a digest; if a file with the same id has another digest, the id gets longer."""
         for length in range(ID_LENGTH, len(digest) + 1):
             run_id = digest[:length]
             path = self.folder / experiment / f"{run_id}.h5"

@@ -1,7 +1,7 @@
-"""What a store holds, quickly: facts of every record, kept in a cache beside them.
+"""Facts of every record of a store, from a cache beside the records.
 
-The files are the truth.  The cache, STORE/.index.sqlite, holds what was read of files of the same size and time; it can
-be deleted, and is built anew where it is damaged.
+Only the files count.  The cache, STORE/.index.sqlite, holds what was read from files of the same size and time; it may
+be deleted, and is rebuilt if it is damaged.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 from ...errors import StoreError
 
 NAME = ".index.sqlite"
-VERSION = 2  # of what is kept; another one is built anew
+VERSION = 2  # of what the cache holds; one of another version is rebuilt
 TABLE = f"facts{VERSION}"
 FEW = 400  # files that one process reads while others would still start
 PLAIN = (
@@ -41,7 +41,7 @@ PLAIN = (
     "pid",
 )
 DECODED = ("metrics", "versions", "warnings")
-# What is large and seldom asked for is kept, and decoded, by itself: thousands of records are listed without it.
+# What is large and seldom needed is kept, and decoded, by itself: thousands of records are listed without it.
 PLACES = {"metrics": "metrics", "components": "details", "versions": "details", "warnings": "details"}
 CORRUPT = "corrupt"
 
@@ -49,8 +49,8 @@ File = tuple[str, int, int]  # path, size, time of the last change [ns]
 Parts = tuple[dict[str, Any], dict[str, str]]  # of facts: the plain ones, and texts by their places
 
 
-class Facts(Mapping[str, Any]):
-    """Facts of one record.  What has a place in PLACES is decoded when it is asked for.
+class LazyFacts(Mapping[str, Any]):
+    """Facts of one record.  What has a place in PLACES is decoded when it is read.
 
     plain: the other facts; texts: {place: facts as JSON}.
     """
@@ -81,12 +81,12 @@ class Facts(Mapping[str, Any]):
         return self._known
 
 
-def runs(folder: Path) -> list[Facts]:
+def runs(folder: Path) -> list[LazyFacts]:
     """Facts of every record in a store, oldest file first: those in PLAIN and DECODED, `components` by name, `master`,
     `record`, `file`, `bytes`.
 
-    A file that cannot be read has the status "corrupt" and the reason as its error; one that vanishes meanwhile is left
-    out.  Raises StoreError where the store cannot be read.
+    A file that cannot be read has the status "corrupt" and the reason as its error; one that is deleted meanwhile is
+    left out.  Raises StoreError where the store cannot be read.
     """
     files: list[File] = sorted(_files(folder), key=lambda file: (file[2], file[0]))
     known = _cached(folder)
@@ -95,16 +95,16 @@ def runs(folder: Path) -> list[Facts]:
         read_now = zip(stale, _read_all([path for path, _, _ in stale]), strict=True)
         fresh = {file: _split(facts) for file, facts in read_now if facts}
         known |= fresh
-        # What is being written changes without its size and time telling.
+        # A file that is being written changes while its size and time stay the same.
         _keep(folder, {file: parts for file, parts in fresh.items() if parts[0]["status"] != "running"}, files)
-    found = []
+    result = []
     for file in files:
         if file in known:
             plain, texts = known[file]
             path, size, _ = file
             status = plain["status"] if plain["status"] != "running" else _status_of_running(path)
-            found.append(Facts({**plain, "status": status, "file": path, "bytes": size}, texts))
-    return found
+            result.append(LazyFacts({**plain, "status": status, "file": path, "bytes": size}, texts))
+    return result
 
 
 def _split(facts: Mapping[str, Any]) -> Parts:
@@ -126,7 +126,7 @@ def _files(folder: Path) -> Iterator[File]:
     except OSError as error:
         raise StoreError(f"{folder} cannot be read: {error.strerror}") from None
     for entry in entries:
-        # Of what others remove or forbid meanwhile, each hides itself alone.
+        # A file or folder that is removed or cannot be read does not hide the others.
         with contextlib.suppress(OSError):
             for file in _entries(entry.path) if entry.is_dir() else []:
                 if file.name.endswith(".h5"):
@@ -148,7 +148,7 @@ def _read_all(paths: list[str]) -> list[dict[str, Any]]:
 
 
 def read(path: str) -> dict[str, Any]:
-    """Facts of one record, from the file; none where it is gone."""
+    """Facts of one record, from the file; {} if it no longer exists."""
     import h5py
 
     from ..file.access import UNREADABLE, first_line
@@ -156,24 +156,24 @@ def read(path: str) -> dict[str, Any]:
 
     try:
         with h5py.File(path, "r", locking=False) as file:
-            found = {name: _plain(value) for name, value in file.attrs.items() if name != "model_descriptions"}
-        if found["format"] != FORMAT:
+            attributes = {name: _plain(value) for name, value in file.attrs.items() if name != "model_descriptions"}
+        if attributes["format"] != FORMAT:
             raise KeyError("it is no record")
-        resolved = json.loads(found["experiment_resolved"])
-        facts = {name: found[name] for name in PLAIN if name in found}
-        facts |= {name: json.loads(found[name]) for name in DECODED}
+        resolved = json.loads(attributes["experiment_resolved"])
+        facts = {name: attributes[name] for name in PLAIN if name in attributes}
+        facts |= {name: json.loads(attributes[name]) for name in DECODED}
         facts["components"] = {component.pop("name"): component for component in resolved["components"]}
         return {**facts, "master": resolved["master"], "record": {"every": resolved["record"]["every"]}}
     except FileNotFoundError:
         return {}
     except UNREADABLE as error:
-        if _status_of_running(path) == "running":  # it has just begun
+        if _status_of_running(path) == "running":  # it has just started
             return {**_nameless(path), "status": "running"}
         return {**_nameless(path), "status": CORRUPT, "error": first_line(error)}
 
 
 def _nameless(path: str) -> dict[str, Any]:
-    """What the place of a file says of it."""
+    """Facts that the place of a file gives."""
     place = Path(path)
     return {
         "run_id": place.stem,
@@ -209,7 +209,7 @@ def _database(folder: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _cached(folder: Path) -> dict[File, Parts]:
-    """The facts of files of that size and time; nothing where there is no cache, or none that can be read."""
+    """The facts of files of that size and time; {} where there is no cache that can be read."""
     if not (folder / NAME).exists():
         return {}
     places = list(dict.fromkeys(PLACES.values()))
@@ -230,15 +230,15 @@ def _cached(folder: Path) -> dict[File, Parts]:
 
 
 def _keep(folder: Path, fresh: Mapping[File, Parts], files: list[File]) -> None:
-    """Add to the cache, and forget files that are gone.  A store that cannot be written goes without."""
+    """Add to the cache, and forget files that no longer exist.  A store that cannot be written has no cache."""
     rows = [
         (os.path.relpath(path, folder), size, time, json.dumps(plain), *texts.values())
         for (path, size, time), (plain, texts) in fresh.items()
     ]
-    there = {os.path.relpath(path, folder) for path, _, _ in files}
+    existing = {os.path.relpath(path, folder) for path, _, _ in files}
     with contextlib.suppress(sqlite3.Error), _database(folder) as connection:
         for version in range(1, VERSION):
             connection.execute(f"DROP TABLE IF EXISTS facts{version}")
-        gone = [row for row in connection.execute(f"SELECT path FROM {TABLE}") if row[0] not in there]
+        gone = [row for row in connection.execute(f"SELECT path FROM {TABLE}") if row[0] not in existing]
         connection.executemany(f"DELETE FROM {TABLE} WHERE path = ?", gone)
         connection.executemany(f"INSERT OR REPLACE INTO {TABLE} VALUES (?, ?, ?, ?, ?, ?)", rows)
