@@ -38,7 +38,7 @@ sdk.add_any_connection(sys.argv[1])
 end = time.time() + 20
 while time.time() < end and sum(s.has_autopilot() for s in sdk.get_systems()) < 2:
     time.sleep(0.1)
-found = {}
+seen = {}
 for system in sdk.get_systems():
     telemetry, param = Telemetry(system), Param(system)
     for _ in range(50):
@@ -56,7 +56,7 @@ for system in sdk.get_systems():
     changed = param.set_param_float("JS_GAIN_DEFAULT", 0.625)
     time.sleep(2)
     health = telemetry.health()
-    found[system.get_system_id()] = {
+    seen[system.get_system_id()] = {
         "kind": [system.autopilot_type().name, system.vehicle_type().name],
         "parameters": len(every.int_params) + len(every.float_params),
         "gain": param.get_param_float("JS_GAIN_DEFAULT"), "frame": param.get_param_int("FRAME_CONFIG"),
@@ -64,7 +64,7 @@ for system in sdk.get_systems():
         "healthy": health.is_global_position_ok and health.is_local_position_ok and health.is_armable,
         "attitudes": attitudes, "places": places,
     }
-print("FOUND " + json.dumps(found))
+print("SEEN " + json.dumps(seen))
 sys.stdout.flush()
 """
 
@@ -110,23 +110,23 @@ def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes
             assert time.monotonic() < end, f"no {words!r} in:\n{''.join(said)}"
             time.sleep(0.1)
 
-    def tell(words):
+    def enter(words):
         proxy.stdin.write(words + "\n")
         proxy.stdin.flush()
 
     wait("Received 332 parameters (ftp)")
     wait("Detected vehicle 2:1")
-    tell("mode POSHOLD")
+    enter("mode POSHOLD")
     wait("Mode POSHOLD", times=2)  # what the vehicle says, and what its heartbeat says
-    tell("vehicle 2")
+    enter("vehicle 2")
     wait("Received 332 parameters (ftp)", times=2)
-    tell("mode ALT_HOLD")
+    enter("mode ALT_HOLD")
     wait("Mode ALT_HOLD", times=2)
-    tell("set param_ftp False")
-    tell("param fetch")
+    enter("set param_ftp False")
+    enter("param fetch")
     wait("Received 332 parameters\n")
-    tell("status")
-    tell("link list")
+    enter("status")
+    enter("link list")
     wait("MAV Errors: 0")
     proxy.stdin.close()
     proxy.kill()
@@ -146,11 +146,11 @@ def test_mavsdk_sees_two_submarines_where_the_record_has_them(shipped, tmp_path)
         text=True,
         timeout=60,
     )
-    found = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))[6:])
+    seen = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("SEEN "))[5:])
     assert json.loads(run.communicate(timeout=60)[0])["status"] == "completed"
-    assert found.keys() == {"1", "2"}
+    assert seen.keys() == {"1", "2"}
     with h5py.File(tmp_path / "run.h5") as record:
-        for system, vehicle in found.items():
+        for system, vehicle in seen.items():
             assert vehicle["kind"] == ["ARDUPILOT", "SUBMARINE"]
             assert (vehicle["parameters"], vehicle["gain"], vehicle["frame"], vehicle["version"]) == (332, 0.625, 1, 4)
             assert vehicle["armed"]

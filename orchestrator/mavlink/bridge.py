@@ -79,7 +79,6 @@ class Bridge(Observer):
 
     def opened(self, view: SystemView) -> None:
         self._view.opened(view)
-        self.progress(0)
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         self._thread.start()

@@ -54,7 +54,7 @@ class VehicleView:
         self._autopilots, self._grid, self._steps = autopilots, plan.experiment.grid, plan.steps
         # Ticks from one time at a whole millisecond to the next.
         self._beat = (Fraction(repr(plan.experiment.master.step)) * 1000).denominator
-        self._last = 0  # tick of the last sample
+        self._last = plan.first  # tick of the last sample
         self._vectors = {autopilot.system: _vectors(plan, autopilot.component) for autopilot in autopilots}
 
     def watched(self, plan: Plan) -> Plan:
@@ -63,13 +63,14 @@ class VehicleView:
         return replace(plan, watched=(*plan.watched, *signals))
 
     def opened(self, view: SystemView) -> None:
-        """Find the values in the table of reals."""
+        """Find the values in the table of reals, and take the first sample."""
         self._table = view.tables["real"]
         for vectors in self._vectors.values():
             for vector in vectors.values():
                 if vector.signals:
                     places = [view.places[component, variable.name] for component, variable in vector.signals]
                     vector.places = np.array(places, dtype=np.intp)
+        self._sample(self._last)
 
     def limit(self, tick: int, last: int) -> int:
         """Where a chunk from `tick` to `last` should end: at a whole millisecond, if there is one."""
@@ -77,9 +78,12 @@ class VehicleView:
         return whole if whole > tick else last
 
     def look(self, tick: int) -> None:
+        """Take a sample, if this is a time for it."""
+        if tick % self._beat == 0 or tick == self._steps or tick - self._last >= PATIENCE * self._beat:
+            self._sample(tick)
+
+    def _sample(self, tick: int) -> None:
         """Add a sample to each autopilot, where the bridge's thread reads it."""
-        if tick % self._beat and tick < self._steps and tick - self._last < PATIENCE * self._beat:
-            return
         self._last = tick
         t = self._grid.time(tick)
         for autopilot in self._autopilots:

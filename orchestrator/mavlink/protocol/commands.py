@@ -15,7 +15,8 @@ from .station import FASTEST, HEARTBEAT_EVERY, SLOWEST, VehicleChannel
 
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 FAILED, UNSUPPORTED = mavlink.MAV_RESULT_FAILED, mavlink.MAV_RESULT_UNSUPPORTED
-DEFAULT, DISABLED, UNAVAILABLE = 0, -1, 0  # us: asked for by SET_MESSAGE_INTERVAL, told by MESSAGE_INTERVAL
+DEFAULT, DISABLED = 0, -1  # us, in SET_MESSAGE_INTERVAL
+UNAVAILABLE = 0  # us, in MESSAGE_INTERVAL; DISABLED likewise
 
 Announce = Callable[[Autopilot, str], None]  # sends a STATUSTEXT to all stations
 Answer = tuple[int, Sequence[Message]]  # MAV_RESULT, and the messages that follow the COMMAND_ACK

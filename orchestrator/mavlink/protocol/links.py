@@ -151,7 +151,7 @@ class UdpOut(Link):
 
 
 class UdpIn(Link):
-    """Listens; whoever sends something is a partner until nothing has come from it for a while."""
+    """Listens; a sender is a partner until nothing has come from it for a while."""
 
     def __init__(self, endpoint: Endpoint, counts: Counter[str]):
         super().__init__(endpoint, counts)

@@ -29,19 +29,19 @@ FORCE = ("x", "y", "z")
 def write(content: Content, target: Path) -> None:
     """Raises StoreError where the record lacks what telemetry is made of."""
     run = content.run
-    found = {vehicle.name: vehicle for vehicle in vehicles(run)}
-    if not found:
+    recorded = {vehicle.name: vehicle for vehicle in vehicles(run)}
+    if not recorded:
         raise StoreError(f"{run.path} records no vehicle: no component with eta.x to eta.psi")
     facts = run.attributes
     spec = reader.parse(
         Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
     ).mavlink_spec
-    spec = spec.showing(name for name in found if _has(run, name, "nu", NU_AXES))
-    missing = [name for name in spec.vehicles if name not in found or not _has(run, name, "nu", NU_AXES)]
+    spec = spec.showing(name for name in recorded if _has(run, name, "nu", NU_AXES))
+    missing = [name for name in spec.vehicles if name not in recorded or not _has(run, name, "nu", NU_AXES)]
     if missing or not spec.vehicles:
-        lacking = " and ".join(f"{name}.nu" for name in missing or found)
+        lacking = " and ".join(f"{name}.nu" for name in missing or recorded)
         raise StoreError(f"{run.path} does not record {lacking}, which telemetry needs: record it and run again")
-    logged = [_logged(content, found[name], system, spec) for name, system in spec.vehicles.items()]
+    logged = [_logged(content, recorded[name], system, spec) for name, system in spec.vehicles.items()]
     with target.open("wb") as file:
         write_log(logged, file)
 
