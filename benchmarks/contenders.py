@@ -14,7 +14,7 @@ from pathlib import Path
 from limit import compile_limit
 from task import Task
 
-from orchestrator.experiment.timegrid import Grid
+from orchestrator.experiment.timegrid import TimeGrid
 from orchestrator.models.compiler import find
 from orchestrator.plan.plan import Plan
 from orchestrator.records.file.run import Run
@@ -116,7 +116,7 @@ class Bench:
     def _task(self, packaging: str, h: float, steps: int) -> Task:
         stride = self._plan(packaging, h, 1.0).stride
         steps = -(-steps // stride) * stride
-        return Task.of(self._plan(packaging, h, Grid(h).time(steps)))
+        return Task.of(self._plan(packaging, h, TimeGrid(h).time(steps)))
 
     def _limit(self, task: Task) -> Path:
         if task.h not in self._limits:

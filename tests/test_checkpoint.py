@@ -283,7 +283,7 @@ def test_all_components_that_cannot_be_saved_are_named_and_nothing_is_started(or
     assert "3 problems" in answer.err
     assert "--checkpoint-at 0.025: is not a multiple of master.step = 0.01 s; try 0.02 or 0.03" in answer.err
     for component, fmu in (("one", paths[0]), ("two", paths[1])):
-        words = f"components.{component}: its state cannot be saved: {fmu} says of itself: no canGetAndSetFMUstate, no"
+        words = f"components.{component}: its state cannot be saved: {fmu} declares no canGetAndSetFMUstate, no"
         assert words in answer.err
     assert not (tmp_path / "results").exists()
 
@@ -291,12 +291,12 @@ def test_all_components_that_cannot_be_saved_are_named_and_nothing_is_started(or
 @pytest.mark.parametrize(
     ("time", "words"),
     [
-        ("0", "nothing to save before"),
-        ("-1", "nothing to save before"),
+        ("0", "nothing can be saved before"),
+        ("-1", "nothing can be saved before"),
         ("0.0105", "try 0.01 or 0.011"),
         ("0.06", "is after master.stop_time = 0.05 s"),
-        ("nan", "is no time"),
-        ("inf", "is no time"),
+        ("nan", "is not a time"),
+        ("inf", "is not a time"),
     ],
 )
 def test_a_checkpoint_at_a_time_that_is_none_is_refused(orch, spiral, write, tmp_path, time, words):
@@ -371,7 +371,7 @@ def test_a_checkpoint_that_is_damaged_or_of_another_format_is_a_sentence(orch, c
         checkpoint.write_bytes(content)
 
     checkpoint.write_bytes(content[: len(content) // 2])
-    refused("is no checkpoint of orch")
+    refused("is not a checkpoint of orch")
     checkpoint.write_bytes(content[:300] + bytes([content[300] ^ 4]) + content[301:])
     refused("damaged")
     rewritten(checkpoint, "states/2", flip)
@@ -381,9 +381,9 @@ def test_a_checkpoint_that_is_damaged_or_of_another_format_is_a_sentence(orch, c
     rewritten(checkpoint, "checkpoint.json", lambda text: text.replace(b'"format_version": 1', b'"format_version": 9'))
     refused("is a checkpoint of format 9, and this orch reads format 1")
     rewritten(checkpoint, "checkpoint.json", lambda text: json.dumps([1]).encode())
-    refused("is no checkpoint of orch")
+    refused("is not a checkpoint of orch")
     checkpoint.write_text("hello", encoding="utf-8")
-    refused("is no checkpoint of orch")
+    refused("is not a checkpoint of orch")
     assert orch("run", "--from", tmp_path / "nowhere.checkpoint").code == 2
 
 

@@ -3,7 +3,7 @@
 import pytest
 from conftest import EXPERIMENTS, merged
 
-from orchestrator.experiment.timegrid import Grid
+from orchestrator.experiment.timegrid import TimeGrid
 
 FAULTS = {
     "titel": "a slip",
@@ -147,14 +147,14 @@ def test_a_shipped_experiment_has_no_problems_and_says_what_it_shows(orch, path)
 
 
 def test_time_is_a_whole_number_of_steps_without_rounding():
-    grid = Grid(1e-4)
+    grid = TimeGrid(1e-4)
     assert grid.ticks(40.0) == 400_000
     assert grid.ticks(0.3) == 3000
     assert grid.ticks(0.00035) is None
     assert grid.time(3000) == 0.3
     assert [grid.time(k) for k in (1, 7, 123)] == [0.0001, 0.0007, 0.0123]
-    assert Grid(0.1).ticks(0.3) == 3  # in binary fractions it is 2.9999999999999996
-    assert Grid(0.1).ticks(0.30000000001) is None
+    assert TimeGrid(0.1).ticks(0.3) == 3  # in binary fractions it is 2.9999999999999996
+    assert TimeGrid(0.1).ticks(0.30000000001) is None
 
 
 # --- --set and --swap -------------------------------------------------------------------------------------------------

@@ -61,8 +61,8 @@ DEEP = "a." * 500
         ("a = " + "[" * 5000, "cannot be read as TOML"),
         (f"a = {'9' * 5000}", "cannot be read as TOML"),
         (f"a = 0x{'f' * 5000}", "a: is a whole number that does not fit 64 bits"),
-        (f"a = {'[' * 40}{']' * 40}", "a: is nested over 32 deep"),
-        (f"{DEEP}a = 1", "is nested over 32 deep"),
+        (f"a = {'[' * 40}{']' * 40}", "a: is nested more than 32 levels deep"),
+        (f"{DEEP}a = 1", "is nested more than 32 levels deep"),
         ('title = "a\\u0000b"', "title: contains the character NUL"),
         ('"a\\u0000b" = 1', "its name contains the character NUL"),
         (f"[master]\nstep = 1{'0' * 400}", "master.step: is a whole number that does not fit 64 bits"),
@@ -108,4 +108,4 @@ def test_a_swap_drops_parameters_that_are_none(orch, write, spiral):
 )
 def test_an_option_that_is_no_key_sets_nothing(problems, spiral, key):
     (found,) = problems(spiral, set={key: 0.001})
-    assert found == (f"--set {key}", "is no dotted key, such as master.stop_time")
+    assert found == (f"--set {key}", "is not a dotted key, such as master.stop_time")

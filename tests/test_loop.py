@@ -14,7 +14,7 @@ import pytest
 from conftest import COMPILER, EXPERIMENTS, ORCH, merged, needs_compiler, poll, single, toml
 
 import orchestrator
-from orchestrator.experiment.timegrid import Grid
+from orchestrator.experiment.timegrid import TimeGrid
 from orchestrator.simulation.loop import compiled
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="orch was installed without a C compiler")
@@ -178,7 +178,7 @@ def test_an_alternating_signal_is_found_in_a_long_run_by_both_loops(both, shippe
 
 @pytest.mark.parametrize("step", [1e-4, 0.003, 1.2345678901234567e-05])
 def test_times_of_many_ticks_are_those_of_each(step):
-    grid = Grid(step)
+    grid = TimeGrid(step)
     assert [grid.time(k) for k in range(999, 2100)] == grid.times(999, 2100).tolist()
 
 

@@ -172,7 +172,7 @@ def test_a_missing_or_old_pymavlink_is_reported_before_anything_starts(orch, wit
     [
         ({"mavlink.vehicle": {}}, "mavlink.vehicle", "did you mean 'vehicles'?"),
         ({"mavlink.vehicles": {"vehicel": 1}}, "mavlink.vehicles.vehicel", "did you mean 'vehicle'?"),
-        ({"mavlink.vehicles": {"controller": 1}}, "mavlink.vehicles.controller", "is no vehicle"),
+        ({"mavlink.vehicles": {"controller": 1}}, "mavlink.vehicles.controller", "is not a vehicle"),
         ({"mavlink.vehicles": {"vehicle": 255}}, "mavlink.vehicles.vehicle", "from 1 to 250"),
         ({"mavlink.origin": {"lat": 95, "lon": 0}}, "mavlink.origin.lat", "from -89 to 89"),
         ({"mavlink.origin": {"lat": 5, "lng": 0}}, "mavlink.origin.lng", "did you mean"),

@@ -43,8 +43,8 @@ def test_every_example_of_a_key_is_a_value_of_it(section):
     for key in section.keys:
         if key.example != "{ ... }":
             value = tomllib.loads(f"value = {key.example}")["value"]
-            assert key.kind.problem(value) == ""
-            assert not list(jsonschema.Draft7Validator(key.kind.json).iter_errors(value)), key.name
+            assert key.type.problem(value) == ""
+            assert not list(jsonschema.Draft7Validator(key.type.json).iter_errors(value)), key.name
 
 
 @pytest.mark.parametrize("text", EXAMPLES, ids=lambda text: tomllib.loads(text)["title"])

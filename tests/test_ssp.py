@@ -432,7 +432,7 @@ def test_everything_that_orch_does_not_run_is_listed_at_once(orch, theirs):
         "raw: its parameters: at is a Float32",
         "bus: is a signal dictionary",
         "maps values one by one",
-        "both ends give, or both take",
+        "both ends are sources, or both are sinks",
         "there is no element 'nobody'",
     ):
         assert words in text
@@ -482,7 +482,7 @@ BOMB = HEAD.replace(
         ({"SystemStructure.ssd": ENTITY + "<ssd:System>&e;</ssd:System>" + TAIL}, "has a document type"),
         ({"SystemStructure.ssd": BOMB + "<ssd:System>&m;</ssd:System>" + TAIL}, "SystemStructure.ssd"),
         ({"SystemStructure.ssd": HEAD}, "cannot be read"),
-        ({"SystemStructure.ssd": "<a/>"}, "is no system structure"),
+        ({"SystemStructure.ssd": "<a/>"}, "is not a system structure"),
         ({"SystemStructure.ssd": HEAD + "<ssd:System name='s'>" * 500}, "cannot be read"),
         ({"SystemStructure.ssd": None}, "it has no SystemStructure.ssd"),
         ({"SystemStructure.ssd": b"\xff\xfe\x00"}, "cannot be read"),

@@ -20,7 +20,7 @@ def problems(table: Mapping[str, Any]) -> Iterator[Problem]:
     while waiting:
         key, depth, value = waiting.pop()
         if isinstance(value, (Mapping, list)) and depth >= DEPTH:
-            yield _problem(key, f"is nested over {DEPTH} deep")
+            yield _problem(key, f"is nested more than {DEPTH} levels deep")
         elif isinstance(value, Mapping):
             for name, below in value.items():
                 if isinstance(name, str) and (what := _text(name)):
@@ -41,7 +41,7 @@ def _text(text: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        return "is no valid UTF-8"
+        return "is not valid UTF-8"
     return ""
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import Problem
 from . import mavlink
 from .mavlink import MavlinkSpec
-from .timegrid import Grid
+from .timegrid import TimeGrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +68,8 @@ class Experiment:
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # {"set": ..., "swap": ...} laid over it
 
     @property
-    def grid(self) -> Grid:
-        return Grid(self.master.step)
+    def grid(self) -> TimeGrid:
+        return TimeGrid(self.master.step)
 
     @property
     def mavlink_spec(self) -> MavlinkSpec:

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def split_key(key: str) -> list[str]:
-    """Parts of a dotted TOML key: connections."a.b" has two; none of what is no key."""
+    """Parts of a dotted TOML key: connections."a.b" has two; a text that is not a key has none."""
     part = r'"([^"]*)"|\'([^\']*)\'|([^.\s"\']+)'
     if not re.fullmatch(rf"\s*(?:{part})\s*(?:\.\s*(?:{part})\s*)*", key):
         return []

@@ -19,9 +19,9 @@ from ..errors import ExperimentError, Problem, did_you_mean, no_such_file
 from . import bounds, mavlink, sweep, tune
 from .experiment import ComponentSpec, ConnectionSpec, Experiment, MasterSpec, RecordSpec
 from .keys import split_key
-from .schema.kinds import TABLE
 from .schema.sections import COMPONENT, COMPONENT_NAME, CONNECTION, EXPERIMENT, MASTER, RECORD, RESERVED
-from .timegrid import EXACT, Grid
+from .schema.value_types import TABLE
+from .timegrid import EXACT, TimeGrid
 
 
 def load(path: str | Path, set: Mapping[str, Any] | None = None, swap: Mapping[str, str] | None = None) -> Experiment:
@@ -76,7 +76,7 @@ def _overlay(table: dict[str, Any], key: str, value: Any) -> list[Problem]:
     """Lay one --set over the file."""
     parts = split_key(key)
     if not parts:
-        return [Problem(f"--set {key}", "is no dotted key, such as master.stop_time")]
+        return [Problem(f"--set {key}", "is not a dotted key, such as master.stop_time")]
     components = _components_of(table)
     if len(parts) > 2 and parts[0] == "components" and parts[1] not in components:
         return [Problem(f"--set {key}", f"no component {parts[1]!r}{did_you_mean(parts[1], components)}")]
@@ -178,17 +178,17 @@ def _components(
             words = "a component's name is letters, digits and _, and begins with no digit"
             problems.append(Problem(key, words))
         if name in RESERVED:
-            words = "is where the record keeps something else; give the component another name"
+            words = "is reserved for the record; give the component another name"
             problems.append(Problem(key, words))
         if "builtin" in entry and "fmu" in entry:
-            problems.append(Problem(f"{key}.builtin", "stands beside fmu; a component is one of them"))
+            problems.append(Problem(f"{key}.builtin", "is given beside fmu; a component has one of them"))
         elif isinstance(table[name], dict) and not (entry.get("fmu") or entry.get("builtin")):
             words = "is missing; give the name of a model or the path of an .fmu"
             problems.append(Problem(f"{key}.fmu", words))
         if "step" in values:
             problems += _multiple(values["step"], master.step, f"{key}.step")
         if "timeout" in values and values["isolation"] == "none":
-            words = 'can be kept only in a process of its own; take isolation = "process"'
+            words = 'can be enforced only in a process of its own; set isolation = "process"'
             problems.append(Problem(f"{key}.timeout", words))
         spec = ComponentSpec(
             name=name,
@@ -231,7 +231,7 @@ def _record(table: Mapping[str, Any], master: MasterSpec) -> tuple[RecordSpec, l
     values, problems = RECORD.read(table, "record")
     every = values.get("every", master.step)
     problems += _multiple(every, master.step, "record.every")
-    if Grid(every).ticks(master.stop_time) is None and Grid(master.step).ticks(every) is not None:
+    if TimeGrid(every).ticks(master.stop_time) is None and TimeGrid(master.step).ticks(every) is not None:
         words = f"{every} s does not divide master.stop_time = {master.stop_time} s: the last row would be missing"
         problems.append(Problem("record.every", words))
     return RecordSpec(every=every, signals=tuple(values["signals"]), inputs=values["inputs"]), problems
@@ -247,7 +247,7 @@ def _tables(section: str, table: Mapping[str, Any]) -> tuple[dict[str, dict[str,
 
 def _multiple(value: float, step: float, key: str) -> list[Problem]:
     """value, step: s."""
-    grid = Grid(step)
+    grid = TimeGrid(step)
     ticks = grid.ticks(value)
     if ticks and ticks <= EXACT:
         return []

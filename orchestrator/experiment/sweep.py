@@ -13,8 +13,8 @@ from typing import Any
 
 from ..errors import Problem, did_you_mean
 from .keys import split_key
-from .schema.kinds import is_whole
 from .schema.sections import DISTRIBUTION, SWEEP
+from .schema.value_types import is_whole
 
 SUCH_AS = 'such as "components.controller.fmu" = ["pid", "mfsosmc"]'
 
@@ -106,7 +106,7 @@ def varying(
     for key, value in table.items():
         where = f'sweep.vary."{key}"'
         if not split_key(key):
-            problems.append(Problem(where, "is no dotted key, such as master.seed"))
+            problems.append(Problem(where, "is not a dotted key, such as master.seed"))
         elif isinstance(value, list):
             if not value:
                 problems.append(Problem(where, "is an empty list; name the values to run"))

@@ -10,7 +10,7 @@ import numpy as np
 EXACT = 1 << 53  # integers up to here are floats
 
 
-class Grid:
+class TimeGrid:
     """Communication points k * step.  `step`: s, taken as the decimal number it is written as."""
 
     def __init__(self, step: float):
@@ -18,7 +18,7 @@ class Grid:
         self._exact = Fraction(repr(step))
 
     def ticks(self, duration: float) -> int | None:
-        """How many steps `duration` [s] is, or None where that is no whole number."""
+        """How many steps `duration` [s] is, or None where that is not a whole number."""
         ratio = Fraction(repr(duration)) / self._exact
         return int(ratio) if ratio.denominator == 1 else None
 

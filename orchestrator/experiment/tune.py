@@ -18,8 +18,8 @@ from typing import Any
 
 from ..errors import Problem, did_you_mean
 from .keys import split_key
-from .schema.kinds import is_number
 from .schema.sections import GOALS, SEARCHABLE, TUNE
+from .schema.value_types import is_number
 from .sweep import distribution_problems
 
 Space = Mapping[str, Mapping[str, Any]]  # {parameter: its distribution}

@@ -52,7 +52,7 @@ def cycles(plan: Plan, initial: bool = False) -> list[Cycle]:
     graph = dependencies(plan, initial)
     order = {component.name: i for i, component in enumerate(plan.components)}
     jacobi = plan.experiment.master.algorithm == "jacobi"
-    found = []
+    loops = []
     for ports in components(graph):
         if len(ports) > 1 or ports[0] in graph.get(ports[0], []):
             within = frozenset(ports)
@@ -62,8 +62,8 @@ def cycles(plan: Plan, initial: bool = False) -> list[Cycle]:
                 if {(connection.sink, connection.input.name), (connection.source, connection.output.name)} <= within
                 and (jacobi or order[connection.source] >= order[connection.sink])
             )
-            found.append(Cycle(_path(graph, within), within, delayed))
-    return found
+            loops.append(Cycle(_path(graph, within), within, delayed))
+    return loops
 
 
 def components(graph: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:
@@ -72,7 +72,7 @@ def components(graph: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:
     low: dict[Node, int] = {}
     stack: list[Node] = []
     on_stack: set[Node] = set()
-    found: list[list[Node]] = []
+    result: list[list[Node]] = []
     for root in graph:
         if root in index:
             continue
@@ -97,10 +97,10 @@ def components(graph: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:
                     low[work[-1][0]] = min(low[work[-1][0]], low[node])
                 if low[node] == index[node]:
                     cut = stack.index(node)
-                    found.append(stack[cut:])
+                    result.append(stack[cut:])
                     on_stack -= set(stack[cut:])
                     del stack[cut:]
-    return found
+    return result
 
 
 def _path(graph: Graph, within: frozenset[Port]) -> tuple[Port, ...]:

@@ -146,7 +146,7 @@ class Plan:
     def resolved(self) -> dict[str, Any]:
         """The whole of it, as JSON can hold it."""
         master, record = self.experiment.master, self.experiment.record
-        found: dict[str, Any] = {
+        resolved: dict[str, Any] = {
             "title": self.experiment.title,
             "master": {
                 "stop_time": master.stop_time,
@@ -170,10 +170,10 @@ class Plan:
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
         }
         if self.created:
-            found["created"] = self.created
+            resolved["created"] = self.created
         if self.origin:
-            found["from"] = self.origin.summary
-        return found
+            resolved["from"] = self.origin.summary
+        return resolved
 
     @property
     def live(self) -> bool:

@@ -256,7 +256,7 @@ def _vehicle_problems(experiment: Experiment, components: Sequence[Component]) -
     others = [component.name for component in components if component.name in shown and not component.is_vehicle]
     near = {name: did_you_mean(name, vehicles, "vehicles") for name in others}
     return [
-        Problem(f"mavlink.vehicles.{name}", f"{name!r} is no vehicle: it does not put out eta and nu{near[name]}")
+        Problem(f"mavlink.vehicles.{name}", f"{name!r} is not a vehicle: it does not put out eta and nu{near[name]}")
         for name in others
     ]
 

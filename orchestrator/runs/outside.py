@@ -29,7 +29,7 @@ class Live:
     endpoints: Sequence[str] = ()
     key: str | None = None
     realtime: float | None = None
-    notes: list[str] = field(default_factory=list)  # what there is to say
+    notes: list[str] = field(default_factory=list)  # for the user
 
     @contextlib.contextmanager
     def tied(self, plan: Plan) -> Iterator[Ties]:

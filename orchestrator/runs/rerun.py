@@ -20,10 +20,10 @@ from .checkpoint.fit import attach
 from .prepare import build_models
 
 
-def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
+def plan_of(record: Run, report: Callable[[str], None]) -> Plan:
     """What a record says that ran, its models built with the packaging they had.
 
-    told: called with what is being built, and with FMUs that are not the same any more.  Raises ExperimentError,
+    report: called with what is being built, and with FMUs that are not the same any more.  Raises ExperimentError,
     BuildError, or StoreError where the record says too little, or the checkpoint that it went on from is missing.
     """
     facts = record.attributes
@@ -33,13 +33,13 @@ def plan_of(record: Run, told: Callable[[str], None]) -> Plan:
     path = Path(facts["experiment_path"])
     loaded = parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
     packagings = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if c.fmu}
-    plan = resolve(loaded, *build_models(packagings, told))
+    plan = resolve(loaded, *build_models(packagings, report))
     if plan.live:
         plan = dataclasses.replace(plan, created=facts["experiment_resolved"]["created"])
     for component in plan.components:
         was = record.fact(component.name, "fmu_sha256")
         if component.fmu.sha256 != was:
-            told(
+            report(
                 f"note: {component.name}: {component.fmu_name} is not the same any more: {was[:10]} then, "
                 f"{component.fmu.sha256[:10]} now"
             )
@@ -57,14 +57,14 @@ def replay_of(record: Run, plan: Plan) -> dict[str, dict[str, Any]]:
 
     Raises StoreError where the record does not say.
     """
-    found = {}
+    context = {}
     for component in plan.components:
         if component.live:
             heard = record.heard(component.name)
             if heard is None:
                 raise StoreError(f"{record.path} does not say what {component.name!r} heard; it cannot be repeated")
-            found[component.name] = {"replay": heard}
-    return found
+            context[component.name] = {"replay": heard}
+    return context
 
 
 def verify(record: Run, plan: Plan) -> Difference | None:

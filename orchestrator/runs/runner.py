@@ -33,7 +33,7 @@ from .prepare import prepare
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """What `orch run` has to say."""
+    """How a run ended, and its record."""
 
     run_id: str
     file: Path
@@ -44,7 +44,7 @@ class RunResult:
     warnings: Sequence[str] = ()
     error: str = ""
     stopped_at: float | None = None
-    repeated: bool = True  # False: the record was already there
+    repeated: bool = True  # False: the record existed already
     checkpoints: Sequence[Path] = ()
     last_inputs: Mapping[str, Any] = field(default_factory=dict)  # of the component that failed
 
@@ -63,7 +63,7 @@ def run(
     """Run an experiment; returns the open record.
 
     set: {dotted key: value} laid over the file.  swap: {component: FMU}.  output: the file to write, instead of one in
-    the store `results`.  force: run again although a completed record is there.  packaging: of named models, "native",
+    the store `results`.  force: run again although a completed record exists.  packaging: of named models, "native",
     "python", or "auto": native where there is a C compiler.  checkpoint_at: times [s] at which the run is saved beside
     its record.  start_from: a checkpoint to go on from, where no path need be given.
     Raises ExperimentError where it cannot run, StoreError where a checkpoint cannot be read, RunError, with `.run` open
@@ -88,7 +88,7 @@ def execute(
     context: Context | None = None,
     checkpoints: Sequence[int] = (),
 ) -> RunResult:
-    """Run a resolved plan into its record, unless a completed one is there.
+    """Run a resolved plan into its record, unless a completed one exists.
 
     context: {component: what a builtin may need of the run}.  checkpoints: ticks at which to save it, see
     `checkpoint.observer.ticks_of`.  Raises OrchError where nothing started.
@@ -133,7 +133,7 @@ def _place(plan: Plan, output: str | Path | None, results: str | Path) -> tuple[
     if output is not None:
         path = Path(output)
         if path.is_dir() or (path.exists() and path.stat().st_size and not h5py.is_hdf5(path)):
-            raise StoreError(f"{path} is there and is no record; it stays as it is: give --output another name")
+            raise StoreError(f"{path} exists and is not a record; it is left as it is: give --output another name")
         return plan.digest[:ID_LENGTH], path
     return Store(results).place(plan.experiment.path.stem, plan.digest)
 
@@ -173,5 +173,5 @@ def _refuse_second_writer(path: Path) -> None:
 
 
 def _beside(path: Path) -> Path:
-    """A free name next to a record that is there."""
+    """A free name next to a record that exists."""
     return next(p for n in itertools.count(2) if not (p := path.with_name(f"{path.stem}.{n}{path.suffix}")).exists())

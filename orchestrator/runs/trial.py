@@ -1,4 +1,4 @@
-"""FMUs loaded and initialized for a trial, each in a process of its own: a crash there is a sentence here.
+"""FMUs loaded and initialized for a trial, each in a process of its own: a crash there is reported as a message here.
 
 python -m orchestrator.runs.trial FILE     the child: a pickled Plan of one component on
                                            stdin, the outcome into FILE
@@ -47,13 +47,13 @@ def problems(plan: Plan, timeout: float = TIMEOUT) -> list[Problem]:
             futures = {
                 pool.submit(_try, plan, component, timeout, children): component.name for component in first.values()
             }
-            found = {name: future.result() for future, name in futures.items()}
+            results = {name: future.result() for future, name in futures.items()}
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in children:
                 child.kill()
             raise
-    return [Problem(f"components.{name}.fmu", sentence) for name, sentence in found.items() if sentence]
+    return [Problem(f"components.{name}.fmu", sentence) for name, sentence in results.items() if sentence]
 
 
 def _try(plan: Plan, component: Component, timeout: float, children: list[subprocess.Popen[bytes]]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import posixpath
+import re
 import tempfile
 import urllib.parse
 from collections.abc import Iterator
@@ -17,10 +18,10 @@ from .names import DESCRIPTION
 
 
 class Unreadable(Exception):
-    """One file of the archive that cannot be had; the text is a sentence."""
+    """One file of the archive that cannot be read; the text says why."""
 
 
-class Archive:
+class SspArchive:
     """An .ssp whose directory is checked, as that of an FMU is."""
 
     def __init__(self, archive: archives.Archive):
@@ -28,17 +29,17 @@ class Archive:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, path: Path) -> Iterator[Archive]:
-        """Raises ExperimentError where it is no archive, a dangerous one, or holds no system."""
+    def open(cls, path: Path) -> Iterator[SspArchive]:
+        """Raises ExperimentError where it is not an archive, not a safe one, or has no system."""
         if not path.exists():
             raise _failure(path, no_such_file(path, ".ssp"))
         with contextlib.ExitStack() as stack:
             try:
                 archive = stack.enter_context(archives.opened(path))
             except FmuError as error:
-                raise _failure(path, str(error).replace("is no FMU", "is no SSP")) from None
+                raise _failure(path, re.sub("is (no|not an) FMU", "is not an SSP", str(error))) from None
             if DESCRIPTION not in archive.names:
-                raise _failure(path, f"is no SSP: it has no {DESCRIPTION}")
+                raise _failure(path, f"is not an SSP: it has no {DESCRIPTION}")
             yield cls(archive)
 
     def member(self, source: str) -> str:
@@ -46,7 +47,7 @@ class Archive:
         try:
             parts = urllib.parse.urlsplit(source)
         except ValueError:
-            raise Unreadable(f"{source!r} is no URI") from None
+            raise Unreadable(f"{source!r} is not a URI") from None
         name = posixpath.normpath(urllib.parse.unquote(parts.path))
         if parts.scheme or parts.netloc or name.startswith(("/", "..")):
             raise Unreadable(f"{source!r} lies outside the archive")
@@ -78,7 +79,7 @@ class Archive:
             raise Unreadable(f"{source} cannot be read: {error}") from None
 
     def unpack(self, source: str, folder: Path) -> Path:
-        """Put a file of the archive into a folder, unless it is there.  Raises Unreadable, OrchError."""
+        """Put a file of the archive into a folder that does not have it.  Raises Unreadable, OrchError."""
         content = self.read(source)
         target = folder / posixpath.basename(self.member(source))
         try:

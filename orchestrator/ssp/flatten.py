@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from ..errors import Problem
 from .archive import Unreadable
 from .parameters import Value
-from .structure import Connection, Element, Structure
+from .structure import Element, SsdConnection, Structure
 
-Path = tuple[str, ...]  # names of elements, from the outermost system's elements down; () is that system
-Node = tuple[Path, str]  # an element and a connector of it
+ElementPath = tuple[str, ...]  # names of elements, from the outermost system's elements down; () is that system
+Node = tuple[ElementPath, str]  # an element and a connector of it
 GIVES, TAKES = {"output", "calculatedParameter"}, {"input", "parameter"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Drive:
-    """What drives an input: factor * source + offset, in units converted before unless told not to."""
+    """What drives an input: factor * source + offset, units converted before unless `convert` is false."""
 
     source: Node
     factor: float = 1.0
@@ -32,9 +32,9 @@ class Drive:
 
 @dataclass
 class Flat:
-    components: dict[Path, Element] = field(default_factory=dict)
+    components: dict[ElementPath, Element] = field(default_factory=dict)
     drives: dict[Node, Drive] = field(default_factory=dict)  # of inputs of components
-    values: dict[Path, dict[str, Value]] = field(default_factory=dict)
+    values: dict[ElementPath, dict[str, Value]] = field(default_factory=dict)
     unused: list[str] = field(default_factory=list)  # parameters that name nothing: the standard ignores them
 
 
@@ -46,9 +46,9 @@ def flatten(structure: Structure) -> Flat:
 class _Flattener:
     def __init__(self, structure: Structure):
         self.structure, self.result = structure, Flat()
-        self.elements: dict[Path, Element] = {}
-        self.incoming: dict[Node, tuple[Node, Connection]] = {}
-        self.outgoing: dict[Node, list[tuple[Node, Connection]]] = {}
+        self.elements: dict[ElementPath, Element] = {}
+        self.incoming: dict[Node, tuple[Node, SsdConnection]] = {}
+        self.outgoing: dict[Node, list[tuple[Node, SsdConnection]]] = {}
 
     def problem(self, key: str, sentence: str) -> None:
         self.structure.problems.append(Problem(key, sentence))
@@ -64,7 +64,7 @@ class _Flattener:
         self.bind((), self.structure.system)
         return self.result
 
-    def collect(self, path: Path, element: Element) -> None:
+    def collect(self, path: ElementPath, element: Element) -> None:
         if path in self.elements:
             self.problem(".".join(path), "is the name of two elements")
             return
@@ -74,7 +74,7 @@ class _Flattener:
         for below in element.elements:
             self.collect((*path, below.name), below)
 
-    def connect(self, path: Path, system: Element, connection: Connection) -> None:
+    def connect(self, path: ElementPath, system: Element, connection: SsdConnection) -> None:
         where = self.where(path, connection)
         nodes, gives = [], []
         for element, connector in (connection.start, connection.end):
@@ -95,7 +95,7 @@ class _Flattener:
         # Start and end say nothing of the direction; the kinds do, where they are given.
         forward = gives[0] if gives[0] is not None else not gives[1] if gives[1] is not None else True
         if None not in gives and gives[0] == gives[1]:
-            self.problem(where, "both ends give, or both take")
+            self.problem(where, "both ends are sources, or both are sinks")
             return
         source, sink = nodes if forward else reversed(nodes)
         if sink in self.incoming:
@@ -107,7 +107,7 @@ class _Flattener:
     def drive(self, sink: Node) -> None:
         """Follow the way back to the FMU that drives an input."""
         node, factor, offset, scaled, convert, seen = sink, 1.0, 0.0, False, True, {sink}
-        ways: list[tuple[Node, Connection]] = []
+        ways: list[tuple[Node, SsdConnection]] = []
         while node in self.incoming:
             node, connection = self.incoming[node]
             ways.append((node, connection))
@@ -131,9 +131,9 @@ class _Flattener:
         if kinds & {"parameter", "calculatedParameter"}:
             self.problem(self.name(sink), f"is a parameter connected to {self.name(node)}; give its value instead")
             return
-        self.result.drives[sink] = Drive(node, factor, offset, scaled, convert)
+        self.result.drives[sink] = Drive(source=node, factor=factor, offset=offset, scaled=scaled, convert=convert)
 
-    def bind(self, path: Path, element: Element) -> None:
+    def bind(self, path: ElementPath, element: Element) -> None:
         """Parameter values: of the innermost elements first, since those further out take precedence."""
         for below in element.elements:
             self.bind((*path, below.name), below)
@@ -151,13 +151,15 @@ class _Flattener:
                 if not targets:
                     self.result.unused.append(self.name((path, name)))
 
-    def targets(self, path: Path, element: Element, name: str) -> Iterator[tuple[Node, tuple[Connection, ...]]]:
+    def targets(
+        self, path: ElementPath, element: Element, name: str
+    ) -> Iterator[tuple[Node, tuple[SsdConnection, ...]]]:
         """The FMU variables that a parameter of an element means, and the connections on the way there."""
         if element.leaf:
             yield (path, name), ()
             return
         if name in element.connectors:
-            stack: list[tuple[Node, tuple[Connection, ...]]] = [((path, name), ())]
+            stack: list[tuple[Node, tuple[SsdConnection, ...]]] = [((path, name), ())]
             seen = set()
             while stack:
                 node, way = stack.pop()
@@ -173,7 +175,7 @@ class _Flattener:
             if name.startswith(f"{below.name}."):
                 yield from self.targets((*path, below.name), below, name.removeprefix(f"{below.name}."))
 
-    def where(self, path: Path, connection: Connection) -> str:
+    def where(self, path: ElementPath, connection: SsdConnection) -> str:
         ends = [".".join(filter(None, (*path, *end))) for end in (connection.start, connection.end)]
         return f"connection {ends[0]} to {ends[1]}"
 

@@ -18,11 +18,11 @@ from ..fmu.fmu import Fmu, read
 from ..fmu.variables import Variable
 from ..models import catalogue
 from . import flatten, structure
-from .archive import Archive, Unreadable
+from .archive import SspArchive, Unreadable
 from .parameters import Value, for_variable
 
-SECTIONS = ("record", "metrics", "mavlink", "sweep")  # that SSP has no words for at all
-SAID = ("fmu", "parameters", "start", "step", "values")  # of a component, in SSP's own words or read before
+SECTIONS = ("record", "metrics", "mavlink", "sweep")  # that SSP cannot state at all
+STATED = ("fmu", "parameters", "start", "step", "values")  # of a component, in SSP itself or read before
 
 Place = Callable[[str, str], Path]
 
@@ -79,18 +79,18 @@ def convert(path: Path, target: Path) -> Imported:
 
 def _read(path: Path, place: Place, named: Callable[[Path], str]) -> Imported:
     """place: the folder for an FMU, by its place in the archive and its SHA-256; named: what it is called."""
-    with Archive.open(path) as archive:
+    with SspArchive.open(path) as archive:
         return _Importer(archive, place, named).imported()
 
 
 class _Importer:
-    def __init__(self, archive: Archive, place: Place, named: Callable[[Path], str]):
+    def __init__(self, archive: SspArchive, place: Place, named: Callable[[Path], str]):
         self.archive, self.place, self.named = archive, place, named
         self.structure = structure.read(archive)
         self.problems, self.notes = self.structure.problems, list[str]()
         self.flat = flatten.flatten(self.structure)
         self.names = _names(list(self.flat.components))
-        self.fmus: dict[flatten.Path, Fmu] = {}
+        self.fmus: dict[flatten.ElementPath, Fmu] = {}
         self.vectors: dict[str, dict[str, str]] = {}  # by component: {variable: its vector}
 
     def problem(self, key: str, sentence: str) -> None:
@@ -127,7 +127,7 @@ class _Importer:
         return files
 
     def components(self, files: Mapping[str, Path], beyond: Mapping[str, Any]) -> dict[str, Any]:
-        found = {}
+        components = {}
         for path, element in self.flat.components.items():
             if element.source in files:
                 more = _table(beyond, self.names[path])
@@ -135,8 +135,8 @@ class _Importer:
                 table = {"fmu": self.named(files[element.source])} | self.values(path, wide)
                 if element.step and element.step != self.structure.step:
                     table["step"] = element.step
-                found[self.names[path]] = table | {k: v for k, v in more.items() if k not in SAID}
-        return found
+                components[self.names[path]] = table | {k: v for k, v in more.items() if k not in STATED}
+        return components
 
     def unpack(self, source: str) -> Path:
         digest = hashlib.sha256(self.archive.read(source)).hexdigest()
@@ -150,7 +150,7 @@ class _Importer:
             table["algorithm"] = "jacobi"
         return table | _table(beyond, "master")
 
-    def values(self, path: flatten.Path, wide: Mapping[str, Value]) -> dict[str, Any]:
+    def values(self, path: flatten.ElementPath, wide: Mapping[str, Value]) -> dict[str, Any]:
         """The tables `parameters` and `start` of a component.  wide: values that SSP 1.0 cannot hold."""
         fmu, given = self.fmus.get(path), {**wide, **self.flat.values.get(path, {})}
         if fmu is None:
@@ -176,18 +176,21 @@ class _Importer:
             elif (path, name) not in self.flat.drives:
                 self.put(start, value, variable, fmu, where)
         free = [v for v in fmu.variables.values() if v.causality == "input" and (path, v.name) not in self.flat.drives]
-        found = {"parameters": _gathered(fmu, parameters)} if parameters else {}
+        tables = {"parameters": _gathered(fmu, parameters)} if parameters else {}
         if start:
             held = {v.name: self.own(v, path) for v in free if v.name not in start}
-            return found | {"start": _gathered(fmu, held | start)}
-        return found | ({"start": "fmu"} if free else {})
+            return tables | {"start": _gathered(fmu, held | start)}
+        return tables | ({"start": "fmu"} if free else {})
 
-    def own(self, variable: Variable, path: flatten.Path) -> Any:
+    def own(self, variable: Variable, path: flatten.ElementPath) -> Any:
         """The FMU's own start value, as an experiment file gives it."""
         try:
             value = variable.initial
         except ValueError:
-            self.problem(".".join((*path, variable.name)), f"starts at {variable.start!r}, which is no {variable.type}")
+            self.problem(
+                ".".join((*path, variable.name)),
+                f"starts at {variable.start!r}, which is not a value of type {variable.type}",
+            )
             return 0
         return value.hex() if isinstance(value, bytes) else value
 
@@ -206,15 +209,15 @@ class _Importer:
             between |= {} if drive.convert else {"unit_check": False}
             source = f"{self.names[drive.source[0]]}.{drive.source[1]}"
             scalars[f"{self.names[path]}.{name}"] = source, between
-        found: dict[str, Any] = {}
+        connections: dict[str, Any] = {}
         for sink, (source, between) in scalars.items():
             to, origin = self.vector(sink), self.vector(source)
             axes = self.axes(to)
             whole = bool(axes) and axes == self.axes(origin)
             if whole and all(scalars.get(to + axis) == (origin + axis, between) for axis in axes):
                 sink, source = to, origin
-            found[sink] = {"from": source, **between} if between else source
-        return found
+            connections[sink] = {"from": source, **between} if between else source
+        return connections
 
     def vector(self, end: str) -> str:
         """component.vector of component.variable, "" where it is of none."""
@@ -229,18 +232,18 @@ class _Importer:
         return [name.removeprefix(vector) for name, owner in owners.items() if owner == vector]
 
 
-def _names(paths: list[flatten.Path]) -> dict[flatten.Path, str]:
+def _names(paths: list[flatten.ElementPath]) -> dict[flatten.ElementPath, str]:
     """A name that an experiment can use for each component, its own where that is one."""
-    found: dict[flatten.Path, str] = {}
+    names: dict[flatten.ElementPath, str] = {}
     for path in paths:
         name = re.sub(r"\W", "_", "_".join(path), flags=re.ASCII)
         name = f"_{name}" if not name or name[0].isdigit() or name == "time" else name
         number = 2
         unique = name
-        while unique in found.values():
+        while unique in names.values():
             unique, number = f"{name}_{number}", number + 1
-        found[path] = unique
-    return found
+        names[path] = unique
+    return names
 
 
 def _table(beyond: Mapping[str, Any], key: str) -> dict[str, Any]:
@@ -255,13 +258,13 @@ def _vectors(fmu: Fmu) -> dict[str, str]:
 
 def _gathered(fmu: Fmu, values: Mapping[str, Any]) -> dict[str, Any]:
     """Values of FMI variables, those of a whole vector as one list."""
-    found: dict[str, Any] = {}
+    gathered: dict[str, Any] = {}
     vectors = _vectors(fmu)
     for name, value in values.items():
         vector = vectors.get(name, "")
         axes = fmu.vectors.get(vector, {})
         if axes and all(v.name in values for v in axes.values()) and not any("," in axis for axis in axes):
-            found[vector] = [values[v.name] for v in axes.values()]
+            gathered[vector] = [values[v.name] for v in axes.values()]
         else:
-            found[name] = value
-    return found
+            gathered[name] = value
+    return gathered

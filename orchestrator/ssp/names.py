@@ -19,7 +19,7 @@ PARAMETER_MAPPING = "application/x-ssp-parameter-mapping"
 FMU = "application/x-fmu-sharedlibrary"
 
 OSP = "com.opensimulationplatform"  # annotations that libcosim reads: its step, and a component's own
-OURS = "orch.experiment"  # our annotation: what SSP has no words for, as the TOML of an experiment file
+OURS = "orch.experiment"  # our annotation: what SSP cannot state, as the TOML of an experiment file
 
 
 def tag(name: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from ..fmu.fmu import Fmu
 from ..fmu.units import conversion
 from ..fmu.variables import FLOATS, WHOLE, Variable
-from .archive import Archive, Unreadable
+from .archive import SspArchive, Unreadable
 from .names import PARAMETER_MAPPING, PARAMETER_SET, tag
 from .units import Units, read_units
 
@@ -46,7 +46,7 @@ class Value:
 Binding = dict[str, Value]  # {name of a parameter of the element, prefix and mapping applied: value}
 
 
-def read_binding(archive: Archive, node: Any, units: Units) -> Binding:
+def read_binding(archive: SspArchive, node: Any, units: Units) -> Binding:
     """One ssd:ParameterBinding.  units: of the description.  Raises Unreadable."""
     kind, source = node.get("type") or PARAMETER_SET, node.get("source")
     if kind != PARAMETER_SET:
@@ -65,7 +65,7 @@ def read_binding(archive: Archive, node: Any, units: Units) -> Binding:
 
 def _values(root: Any, units: Units) -> Binding:
     meanings = {**units, **read_units(root.find(tag("ssv:Units")))}
-    found: Binding = {}
+    result: Binding = {}
     for parameter in root.iterfind(f"{tag('ssv:Parameters')}/{tag('ssv:Parameter')}"):
         name = parameter.get("name") or ""
         for type, read in KINDS.items():
@@ -74,7 +74,7 @@ def _values(root: Any, units: Units) -> Binding:
                 continue
             text, unit = typed.get("value", ""), typed.get("unit") or ""
             try:
-                found[name] = Value(type, read(text), unit, meanings)
+                result[name] = Value(type, read(text), unit, meanings)
             except (ValueError, KeyError):
                 raise Unreadable(f"{name} is {text!r}, not a value of type {type}") from None
             break
@@ -83,10 +83,10 @@ def _values(root: Any, units: Units) -> Binding:
             raise Unreadable(
                 f"{name} is a {types[0] if types else 'parameter without a type'}; orch reads {', '.join(KINDS)}"
             )
-    return found
+    return result
 
 
-def _mapping(archive: Archive, node: Any) -> list[tuple[str, str, float, float]]:
+def _mapping(archive: SspArchive, node: Any) -> list[tuple[str, str, float, float]]:
     """(source, target, factor, offset) of each entry."""
     kind, source = node.get("type") or PARAMETER_MAPPING, node.get("source")
     if kind != PARAMETER_MAPPING or node.get("sourceBase") == "component":
@@ -104,7 +104,7 @@ def _mapping(archive: Archive, node: Any) -> list[tuple[str, str, float, float]]
                 (1.0, 0.0) if linear is None else (float(linear.get("factor", "1")), float(linear.get("offset", "0")))
             )
         except ValueError:
-            raise Unreadable(f"the mapping of {entry.get('source')} has a factor that is no number") from None
+            raise Unreadable(f"the mapping of {entry.get('source')} has a factor that is not a number") from None
         entries.append((entry.get("source") or "", entry.get("target") or "", factor, offset))
     return entries
 
@@ -112,11 +112,11 @@ def _mapping(archive: Archive, node: Any) -> list[tuple[str, str, float, float]]
 def _mapped(values: Binding, entries: list[tuple[str, str, float, float]]) -> Binding:
     """The values by their targets' names; a value that no entry names keeps its own."""
     named = {source for source, *_ in entries}
-    found = {name: value for name, value in values.items() if name not in named}
+    result = {name: value for name, value in values.items() if name not in named}
     for source, target, factor, offset in entries:
         if source in values:
-            found[target] = values[source].transformed(factor, offset)
-    return found
+            result[target] = values[source].transformed(factor, offset)
+    return result
 
 
 def for_variable(value: Value, variable: Variable, fmu: Fmu) -> Any:

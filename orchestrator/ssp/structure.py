@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import Problem
-from .archive import Archive, Unreadable
+from .archive import SspArchive, Unreadable
 from .names import DESCRIPTION, FMU, OSP, OURS, tag
 from .parameters import Binding, read_binding
 from .units import Units, read_units
@@ -28,8 +28,8 @@ class Connector:
     unit: str
 
 
-@dataclass(frozen=True)
-class Connection:
+@dataclass(frozen=True, kw_only=True)
+class SsdConnection:
     """One connection of a system.  start, end: element ("" for the system itself) and connector."""
 
     start: tuple[str, str]
@@ -51,10 +51,10 @@ class Element:
     connectors: dict[str, Connector] = field(default_factory=dict)
     bindings: list[Binding] = field(default_factory=list)
     elements: list[Element] = field(default_factory=list)
-    connections: list[Connection] = field(default_factory=list)
+    connections: list[SsdConnection] = field(default_factory=list)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Structure:
     """beyond: the table of our annotation, {} without."""
 
@@ -67,13 +67,13 @@ class Structure:
     problems: list[Problem]
 
 
-def read(archive: Archive) -> Structure:
+def read(archive: SspArchive) -> Structure:
     """Read the description of a system; `.problems` has what cannot be run."""
     return _Reader(archive).structure()
 
 
 class _Reader:
-    def __init__(self, archive: Archive):
+    def __init__(self, archive: SspArchive):
         self.archive = archive
         self.problems: list[Problem] = []
 
@@ -81,14 +81,16 @@ class _Reader:
         self.problems.append(Problem(key, sentence))
 
     def structure(self) -> Structure:
-        empty = Structure("", Element(""), {}, None, None, {}, self.problems)
+        empty = Structure(
+            name="", system=Element(""), units={}, stop_time=None, step=None, beyond={}, problems=self.problems
+        )
         try:
             root = self.archive.xml(DESCRIPTION)
         except Unreadable as error:
             self.problem("", str(error))
             return empty
         if root.tag != tag("ssd:SystemStructureDescription"):
-            self.problem(DESCRIPTION, "is no system structure of SSP 1.0")
+            self.problem(DESCRIPTION, "is not a system structure of SSP 1.0")
             return empty
         version = root.get("version", "")
         if not version.startswith("1."):
@@ -109,7 +111,15 @@ class _Reader:
             step = self.number(algorithm, "baseStepSize", "DefaultExperiment")
             beyond = self.beyond(default.find(f"{annotation(OURS)}/{tag('orch:experiment')}"))
         element = self.element(system, system.get("name") or "system", units)
-        return Structure(root.get("name") or "", element, units, stop_time, step, beyond, self.problems)
+        return Structure(
+            name=root.get("name") or "",
+            system=element,
+            units=units,
+            stop_time=stop_time,
+            step=step,
+            beyond=beyond,
+            problems=self.problems,
+        )
 
     def beyond(self, element: Any) -> dict[str, Any]:
         try:
@@ -167,7 +177,16 @@ class _Reader:
                 factor = self.number(linear, "factor", where, 1.0)
                 offset = self.number(linear, "offset", where, 0.0)
             convert = child.get("suppressUnitConversion", "false") not in ("true", "1")
-            element.connections.append(Connection(ends[0], ends[1], factor, offset, linear is not None, convert))
+            element.connections.append(
+                SsdConnection(
+                    start=ends[0],
+                    end=ends[1],
+                    factor=factor,
+                    offset=offset,
+                    scaled=linear is not None,
+                    convert=convert,
+                )
+            )
 
     def number(self, node: Any, name: str, where: str, default: Any = None) -> Any:
         text = node.get(name) if node is not None else None

@@ -13,7 +13,7 @@ Units = Mapping[str, Unit]
 
 def read_units(node: Any) -> dict[str, Unit]:
     """The section Units of a file, {} for None; a unit whose definition is no number is left out."""
-    found = {}
+    units = {}
     for unit in node.iterfind(tag("ssc:Unit")) if node is not None else ():
         base = unit.find(tag("ssc:BaseUnit"))
         try:
@@ -22,5 +22,5 @@ def read_units(node: Any) -> dict[str, Unit]:
         except (AttributeError, ValueError):
             continue
         if factor:
-            found[unit.get("name") or ""] = Unit(exponents, factor, offset)
-    return found
+            units[unit.get("name") or ""] = Unit(exponents, factor, offset)
+    return units

@@ -1,6 +1,6 @@
 """A plan as an SSP 1.0 archive: SystemStructure.ssd and the FMUs as resources.
 
-What SSP has no words for (order of the components, algorithm, step, periods, record, metrics, seed) travels in an
+What SSP cannot state (order of the components, algorithm, step, periods, record, metrics, seed) travels in an
 annotation, so that import gives the same experiment back.  The same plan gives the same bytes.
 """
 
@@ -30,7 +30,7 @@ def export(plan: Plan, target: Path) -> Path:
     """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where it cannot be written."""
     if live := [component.name for component in plan.components if component.live]:
         names = ", ".join(live)
-        raise OrchError(f"{plan.experiment.path} cannot become an SSP: {names} runs inside orch, and is no FMU")
+        raise OrchError(f"{plan.experiment.path} cannot become an SSP: {names} runs inside orch and is not an FMU")
     sources = _sources(plan)
     try:
         description = _Writer(plan, sources).text()
@@ -44,13 +44,13 @@ def export(plan: Plan, target: Path) -> Path:
 
 
 def limits(plan: Plan) -> list[str]:
-    """What others will do differently, sentences."""
-    found, master = [], plan.experiment.master
+    """What other tools will do differently, for the user."""
+    differences, master = [], plan.experiment.master
     if master.algorithm != "jacobi":
-        found.append(f"libcosim and Ecos step all components at once, as jacobi does; this is {master.algorithm}")
+        differences.append(f"libcosim and Ecos step all components at once, as jacobi does; this is {master.algorithm}")
     if slow := [component.name for component in plan.components if component.period > 1]:
         names = ", ".join(slow)
-        found.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
+        differences.append(f"Ecos shows the others at the start of a step what {names} computes for its end")
     named = [f"{k.sink}.{k.input.name}" for k in plan.connections if k.input.type == "Enumeration"]
     named += [
         f"{p.name}.{n}"
@@ -59,14 +59,14 @@ def limits(plan: Plan) -> list[str]:
         if p.fmu.variables[n].type == "Enumeration"
     ]
     if named:
-        found.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
+        differences.append(f"libcosim and Ecos load no SSP with values of enumerations: {', '.join(named)}")
     if modern := [component.name for component in plan.components if component.fmu.version > 2]:
-        found.append(f"SSP 1.0 knows FMI 2.0, libcosim runs nothing else: {', '.join(modern)} is FMI 3.0")
-    return found
+        differences.append(f"SSP 1.0 knows FMI 2.0, libcosim runs nothing else: {', '.join(modern)} is FMI 3.0")
+    return differences
 
 
 def beyond(plan: Plan) -> dict[str, Any]:
-    """What of an experiment SSP has no words for, as the table of an experiment file."""
+    """What of an experiment SSP cannot state, as the table of an experiment file."""
     experiment = plan.experiment
     said = ("name", "fmu", "builtin", "parameters", "start", "step", "swapped")
     components = {c.name: _differing(c, *said) for c in experiment.components}

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import toml
-from .kinds import Key, Section
 from .sections import EXPERIMENT, SECTIONS
+from .value_types import Key, Section
 
 SCHEMA = Path(__file__).parent / "experiment.schema.json"
 TABLE_OF = re.compile(r"(<!-- keys of (.+?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -45,7 +45,7 @@ def table(section: Section) -> str:
     """The keys of a section as Markdown, and what its variants need."""
     rows = [["key", "type", "unit", "default", "meaning", "example"]]
     rows += [
-        [f"`{key.name}`", key.kind.words, key.unit, _default(key), key.meaning, f"`{key.example}`"]
+        [f"`{key.name}`", key.type.words, key.unit, _default(key), key.meaning, f"`{key.example}`"]
         for key in section.keys
     ]
     text = _markdown(rows)

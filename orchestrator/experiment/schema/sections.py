@@ -6,14 +6,14 @@ import re
 from dataclasses import replace
 
 from ...metrics import METRICS, STATISTICS
-from .kinds import (
+from .value_types import (
     SECONDS,
     TABLE,
     TEXT,
     TRUTH,
     Key,
-    Kind,
     Section,
+    ValueType,
     Variant,
     either,
     is_whole,
@@ -73,7 +73,7 @@ MASTER = Section(
     keys=(
         Key(
             name="stop_time",
-            kind=SECONDS,
+            type=SECONDS,
             unit="s",
             required=True,
             missing="; give it in s",
@@ -82,7 +82,7 @@ MASTER = Section(
         ),
         Key(
             name="step",
-            kind=SECONDS,
+            type=SECONDS,
             unit="s",
             required=True,
             missing="; give it in s",
@@ -91,7 +91,7 @@ MASTER = Section(
         ),
         Key(
             name="algorithm",
-            kind=one_of(*ALGORITHMS),
+            type=one_of(*ALGORITHMS),
             default=ALGORITHMS[0],
             meaning="`gauss-seidel`: components step in the order of the file, each fed with the newest outputs; "
             "`jacobi`: all step with the outputs of the step before.",
@@ -99,7 +99,7 @@ MASTER = Section(
         ),
         Key(
             name="seed",
-            kind=Kind(words="whole number", json={"type": "integer"}, problem=_seed_problem),
+            type=ValueType(words="whole number", json={"type": "integer"}, problem=_seed_problem),
             absent="none is set",
             meaning="Seeds every component that has a whole-number parameter `seed` which the file does not set, each "
             "with a number drawn from this one and the component's name.",
@@ -113,21 +113,21 @@ COMPONENT = Section(
     keys=(
         Key(
             name="fmu",
-            kind=TEXT,
+            type=TEXT,
             absent="one of `fmu` and `builtin` is needed",
             meaning="A model's name (`orch fmus` lists them), or the path of an .fmu, relative to the experiment file.",
             example='"bluerov2_thesis"',
         ),
         Key(
             name="builtin",
-            kind=TEXT,
+            type=TEXT,
             absent="one of `fmu` and `builtin` is needed",
             meaning="A component that runs inside orch, in place of an FMU: `ardupilot_json` or `mavlink_manual`.",
             example='"mavlink_manual"',
         ),
         Key(
             name="parameters",
-            kind=TABLE,
+            type=TABLE,
             absent="the FMU's own",
             meaning="Values of parameters, in the FMU's units. A vector takes a list of its full length, or a table of "
             "some of its axes; the others keep their defaults.",
@@ -135,14 +135,14 @@ COMPONENT = Section(
         ),
         Key(
             name="start",
-            kind=either(TABLE, one_of("fmu"), otherwise='; give a table of values, or "fmu"'),
+            type=either(TABLE, one_of("fmu"), otherwise='; give a table of values, or "fmu"'),
             absent="every input is connected",
             meaning='Values that inputs hold which nothing drives; `"fmu"` accepts the FMU\'s own start values.',
             example="{ v_c = [0.2, 0, 0] }",
         ),
         Key(
             name="step",
-            kind=SECONDS,
+            type=SECONDS,
             unit="s",
             absent="that of [master]",
             meaning="The component's own period, a multiple of the communication step.",
@@ -150,7 +150,7 @@ COMPONENT = Section(
         ),
         Key(
             name="isolation",
-            kind=one_of(*ISOLATION),
+            type=one_of(*ISOLATION),
             default=ISOLATION[0],
             meaning="Whether the FMU runs in a process of its own: `auto` where it must, since another FMU in the same "
             "process would disturb it, `process` always, `none` never.",
@@ -158,7 +158,7 @@ COMPONENT = Section(
         ),
         Key(
             name="timeout",
-            kind=SECONDS,
+            type=SECONDS,
             unit="s of wall time",
             absent="no limit",
             meaning="How long a step may take; the FMU then runs in a process of its own, which is ended after that.",
@@ -173,14 +173,14 @@ CONNECTION = Section(
     keys=(
         Key(
             name="from",
-            kind=TEXT,
+            type=TEXT,
             required=True,
             meaning="The output that drives the input: `component.variable`, of a vector or one axis.",
             example='"vehicle.eta"',
         ),
         Key(
             name="gain",
-            kind=number(),
+            type=number(),
             absent="1",
             meaning="Factor, after the conversion of units. It may carry a unit: an output without one is then taken "
             "as it is.",
@@ -188,14 +188,14 @@ CONNECTION = Section(
         ),
         Key(
             name="offset",
-            kind=number(),
+            type=number(),
             absent="0",
             meaning="Added after the gain, in the input's unit.",
             example="0.5",
         ),
         Key(
             name="unit_check",
-            kind=TRUTH,
+            type=TRUTH,
             default=True,
             meaning="`false` takes the number as it is although the units do not fit.",
             example="false",
@@ -208,7 +208,7 @@ RECORD = Section(
     keys=(
         Key(
             name="every",
-            kind=SECONDS,
+            type=SECONDS,
             unit="s",
             absent="that of [master] step",
             meaning="From row to row: a multiple of the communication step that divides the stop time.",
@@ -216,7 +216,7 @@ RECORD = Section(
         ),
         Key(
             name="signals",
-            kind=list_of(TEXT, '; give a list of globs, such as ["vehicle*", "!*.nu.*"]'),
+            type=list_of(TEXT, otherwise='; give a list of globs, such as ["vehicle*", "!*.nu.*"]'),
             default=["*"],
             meaning="Globs over the outputs, as `component.variable`; a vector's name takes all its axes, and "
             "`!` excludes.",
@@ -224,7 +224,7 @@ RECORD = Section(
         ),
         Key(
             name="inputs",
-            kind=TRUTH,
+            type=TRUTH,
             default=False,
             meaning="Whether the globs match inputs and local variables, too.",
             example="true",
@@ -237,35 +237,35 @@ METRIC = Section(
     keys=(
         Key(
             name="of",
-            kind=replace(one_of(*METRICS), words="name of a metric"),
+            type=replace(one_of(*METRICS), words="name of a metric"),
             required=True,
             meaning="Which metric: the table below lists them.",
             example='"rmse"',
         ),
         Key(
             name="signal",
-            kind=TEXT,
+            type=TEXT,
             required=True,
             meaning="What is judged: a recorded signal, or a vector where the metric is one of vectors.",
             example='"vehicle.eta.x"',
         ),
         Key(
             name="reference",
-            kind=TEXT,
+            type=TEXT,
             absent="zero",
             meaning="What the signal is compared with; the error is signal - reference.",
             example='"reference.eta_d.x"',
         ),
         Key(
             name="unit",
-            kind=TEXT,
+            type=TEXT,
             absent="the signal's",
             meaning="The unit of the number, one that the signal's converts to.",
             example='"mm"',
         ),
         Key(
             name="after",
-            kind=number(least=0.0),
+            type=number(least=0.0),
             unit="s",
             absent="the first row",
             meaning="The window begins then.",
@@ -273,7 +273,7 @@ METRIC = Section(
         ),
         Key(
             name="before",
-            kind=number(least=0.0),
+            type=number(least=0.0),
             unit="s",
             absent="the last row",
             meaning="The window ends then.",
@@ -281,21 +281,21 @@ METRIC = Section(
         ),
         Key(
             name="band",
-            kind=positive("; give a positive number"),
+            type=positive("; give a positive number"),
             unit="of the number's unit",
             meaning="The error counts as zero within it.",
             example="0.05",
         ),
         Key(
             name="max_power",
-            kind=positive("; give a positive number"),
+            type=positive("; give a positive number"),
             unit="W",
             meaning="Power of one thruster at full thrust.",
             example="350.0",
         ),
         Key(
             name="stat",
-            kind=one_of(*STATISTICS),
+            type=one_of(*STATISTICS),
             absent="mean",
             meaning="Which number of the values over the window.",
             example='"min"',
@@ -318,7 +318,7 @@ ORIGIN = Section(
     keys=tuple(
         Key(
             name=name,
-            kind=number(-limit, limit, f"; give degrees from -{limit:g} to {limit:g}"),
+            type=number(-limit, limit, f"; give degrees from -{limit:g} to {limit:g}"),
             unit="degrees",
             required=True,
             missing=f"; give degrees from -{limit:g} to {limit:g}",
@@ -337,7 +337,7 @@ RATES = Section(
     keys=tuple(
         Key(
             name=name,
-            kind=number(0.0, FASTEST_STREAM, f"; give 0 to {FASTEST_STREAM:g} Hz"),
+            type=number(0.0, FASTEST_STREAM, f"; give 0 to {FASTEST_STREAM:g} Hz"),
             unit="Hz",
             default=rate,
             meaning="Rate of ArduPilot's stream of that name.",
@@ -354,7 +354,7 @@ MAVLINK = Section(
     keys=(
         Key(
             name="vehicles",
-            kind=named(SYSTEM_ID),
+            type=named(SYSTEM_ID),
             absent="every vehicle, in order",
             meaning="The components that ground stations see, with their MAVLink system ids. A vehicle is a component "
             "that puts out `eta` and `nu`.",
@@ -362,21 +362,21 @@ MAVLINK = Section(
         ),
         Key(
             name="origin",
-            kind=table(ORIGIN),
+            type=table(ORIGIN),
             absent="off Newport, Oregon",
             meaning="Where NED (0, 0, 0) is on Earth.",
             example="{ lat = 44.65, lon = -124.05 }",
         ),
         Key(
             name="pwm_map",
-            kind=one_of(*PWM_MAPS),
+            type=one_of(*PWM_MAPS),
             default=PWM_MAPS[0],
             meaning="What PWM a thruster command is: 1500 ± 400 µs, or that of a T200 at 16 V for its thrust.",
             example='"t200_16V"',
         ),
         Key(
             name="rates",
-            kind=table(RATES),
+            type=table(RATES),
             absent="ArduSub's own",
             meaning="Rates of ArduPilot's streams.",
             example="{ EXTRA1 = 25 }",
@@ -389,43 +389,29 @@ DISTRIBUTION = Section(
     keys=(
         Key(
             name="distribution",
-            kind=replace(one_of(*DISTRIBUTIONS), words="name of a distribution"),
+            type=replace(one_of(*DISTRIBUTIONS), words="name of a distribution"),
             required=True,
             meaning="Which distribution: the table below lists them.",
             example='"uniform"',
         ),
-        Key(name="low", kind=number(), meaning="The least value.", example="8.0"),
-        Key(name="high", kind=number(), meaning="The largest value.", example="12.0"),
-        Key(name="mean", kind=number(), meaning="Mean of a normal distribution.", example="1.0"),
+        Key(name="low", type=number(), meaning="The least value.", example="8.0"),
+        Key(name="high", type=number(), meaning="The largest value.", example="12.0"),
+        Key(name="mean", type=number(), meaning="Mean of a normal distribution.", example="1.0"),
         Key(
             name="std",
-            kind=positive("; give a positive number"),
+            type=positive("; give a positive number"),
             meaning="Standard deviation of a normal distribution.",
             example="0.2",
         ),
         Key(
             name="values",
-            kind=Kind(
-                words="list",
-                json={"type": "array", "minItems": 1},
-                problem=lambda value: (
-                    "" if isinstance(value, list) and value else f"is {value!r}; give a list of values to draw from"
-                ),
-            ),
+            type=list_of(least=1, otherwise="; give a list of values to draw from"),
             meaning="What is chosen from.",
             example="[0.0, 0.5]",
         ),
         Key(
             name="axes",
-            kind=Kind(
-                words="list of texts",
-                json={"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3},
-                problem=lambda value: (
-                    ""
-                    if isinstance(value, list) and len(value) in (2, 3) and all(isinstance(a, str) for a in value)
-                    else f'is {value!r}; give two or three axes, such as ["x", "y"]'
-                ),
-            ),
+            type=list_of(TEXT, 2, 3, '; give two or three axes, such as ["x", "y"]'),
             meaning="The axes of the vector that has a direction, two or three.",
             example='["x", "y"]',
         ),
@@ -434,22 +420,12 @@ DISTRIBUTION = Section(
     variants=DISTRIBUTIONS,
 )
 
-VARIED = either(
-    Kind(
-        words="list",
-        json={"type": "array", "minItems": 1},
-        problem=lambda value: "" if isinstance(value, list) else "is no list",
-    ),
-    table(DISTRIBUTION),
-    otherwise='; give a list of values, or a table such as { distribution = "uniform", low = 0.0, high = 1.0 }',
-)
-
 TUNE = Section(
     heading="[sweep.tune]",
     keys=(
         Key(
             name="objective",
-            kind=either(TEXT, named(number()), otherwise="; name a metric, or give a table of metrics and weights"),
+            type=either(TEXT, named(number()), otherwise="; name a metric, or give a table of metrics and weights"),
             required=True,
             missing="; name a metric, or give a table of metrics and their weights",
             meaning="The metric that is searched by, or metrics with their weights, which are summed.",
@@ -457,21 +433,21 @@ TUNE = Section(
         ),
         Key(
             name="goal",
-            kind=one_of(*GOALS),
+            type=one_of(*GOALS),
             default=GOALS[0],
             meaning="What the search does with the objective.",
             example='"maximize"',
         ),
         Key(
             name="component",
-            kind=TEXT,
+            type=TEXT,
             absent="the one whose `fmu` varies",
             meaning="The component whose parameters are tuned.",
             example='"controller"',
         ),
         Key(
             name="trials",
-            kind=whole(1),
+            type=whole(1),
             required=True,
             missing="; give a whole number, at least 1",
             meaning="Trials of each controller.",
@@ -479,7 +455,7 @@ TUNE = Section(
         ),
         Key(
             name="draws",
-            kind=whole(1),
+            type=whole(1),
             required=True,
             missing="; give a whole number, at least 1",
             meaning="Draws that a trial is judged on.",
@@ -487,7 +463,7 @@ TUNE = Section(
         ),
         Key(
             name="held_out",
-            kind=whole(1),
+            type=whole(1),
             required=True,
             missing="; give a whole number, at least 1",
             meaning="Other draws, on which the defaults and the tuned parameters are compared at the end.",
@@ -495,7 +471,7 @@ TUNE = Section(
         ),
         Key(
             name="search",
-            kind=named(named(table(DISTRIBUTION))),
+            type=named(named(table(DISTRIBUTION))),
             required=True,
             missing="; give each controller a table of the parameters to tune, such as [sweep.tune.search.pid]",
             meaning="For each FMU, the parameters that are searched, each with a distribution: "
@@ -511,7 +487,7 @@ SWEEP = Section(
     keys=(
         Key(
             name="vary",
-            kind=named(VARIED),
+            type=named(either(list_of(least=1), table(DISTRIBUTION))),
             absent="needed, but in a search",
             meaning="What varies: any dotted key, with a list of values or a distribution. Every draw of the "
             "distributions meets every combination of the lists.",
@@ -519,43 +495,43 @@ SWEEP = Section(
         ),
         Key(
             name="draws",
-            kind=whole(1),
+            type=whole(1),
             absent="needed where something is drawn",
             meaning="How many draws of the distributions.",
             example="200",
         ),
         Key(
             name="skip",
-            kind=whole(0),
+            type=whole(0),
             default=0,
             meaning="How many draws are left out before the first.",
             example="50",
         ),
         Key(
             name="design",
-            kind=one_of(*DESIGNS),
+            type=one_of(*DESIGNS),
             default=DESIGNS[0],
             meaning="How draws are made: independent, a Latin hypercube, or Sobol points.",
             example='"sobol"',
         ),
-        Key(name="seed", kind=whole(), default=0, meaning="Seeds the draws.", example="1"),
+        Key(name="seed", type=whole(), default=0, meaning="Seeds the draws.", example="1"),
         Key(
             name="keep",
-            kind=one_of(*KEEP),
+            type=one_of(*KEEP),
             default=KEEP[0],
             meaning="Which rows the records keep: all, at most 501, or none; metrics are those of all rows.",
             example='"metrics"',
         ),
         Key(
             name="zip",
-            kind=list_of(list_of(TEXT, ""), '; give lists of keys, such as [["master.step", "record.every"]]'),
+            type=list_of(list_of(TEXT), otherwise='; give lists of keys, such as [["master.step", "record.every"]]'),
             default=[],
             meaning="Groups of lists whose values change together.",
             example='[["components.controller.fmu", "components.controller.parameters"]]',
         ),
         Key(
             name="tune",
-            kind=table(TUNE),
+            type=table(TUNE),
             absent="no search",
             meaning="A search for the parameters of controllers, which `orch tune` makes.",
             example="{ ... }",
@@ -568,56 +544,56 @@ EXPERIMENT = Section(
     keys=(
         Key(
             name="title",
-            kind=TEXT,
+            type=TEXT,
             absent="the file's name",
             meaning="What the experiment shows, in a sentence.",
             example='"A BlueROV2 follows a spiral"',
         ),
         Key(
             name="master",
-            kind=table(MASTER),
+            type=table(MASTER),
             absent="needed",
             meaning="Time: how far and in which steps.",
             example="{ ... }",
         ),
         Key(
             name="components",
-            kind=named(table(COMPONENT), f"^(?!({'|'.join(RESERVED)})$){COMPONENT_NAME}$"),
+            type=named(table(COMPONENT), f"^(?!({'|'.join(RESERVED)})$){COMPONENT_NAME}$"),
             absent="needed",
             meaning="What runs, in the order in which it steps: each component's name and its table.",
             example="{ ... }",
         ),
         Key(
             name="connections",
-            kind=named(either(TEXT, table(CONNECTION), otherwise=", not the name of an output")),
+            type=named(either(TEXT, table(CONNECTION))),
             absent="none",
             meaning='Which output drives which input: `"input" = "output"`, or a table where something lies between.',
             example="{ ... }",
         ),
         Key(
             name="record",
-            kind=table(RECORD),
+            type=table(RECORD),
             absent="every output at every step",
             meaning="Which rows and signals the record keeps.",
             example="{ ... }",
         ),
         Key(
             name="metrics",
-            kind=named(table(METRIC)),
+            type=named(table(METRIC)),
             absent="none",
             meaning="Numbers that sum the run up.",
             example="{ ... }",
         ),
         Key(
             name="mavlink",
-            kind=table(MAVLINK),
+            type=table(MAVLINK),
             absent="ArduSub's defaults",
             meaning="What ground stations see.",
             example="{ ... }",
         ),
         Key(
             name="sweep",
-            kind=table(SWEEP),
+            type=table(SWEEP),
             absent="a single run",
             meaning="Many runs of the same experiment.",
             example="{ ... }",

@@ -103,10 +103,10 @@ def open_checkpoint(path: str | Path) -> Checkpoint:
     try:
         with zipfile.ZipFile(path) as archive:
             if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
-                raise StoreError(f"{path} is no checkpoint of orch")
+                raise StoreError(f"{path} is not a checkpoint of orch")
             about = json.loads(archive.read(ABOUT))
             if about["format"] != FORMAT:
-                raise StoreError(f"{path} is no checkpoint of orch")
+                raise StoreError(f"{path} is not a checkpoint of orch")
             if about["format_version"] != FORMAT_VERSION:
                 raise StoreError(
                     f"{path} is a checkpoint of format {about['format_version']}, and this orch reads "
@@ -120,10 +120,10 @@ def open_checkpoint(path: str | Path) -> Checkpoint:
     except OSError as error:
         raise StoreError(f"{path} cannot be read: {error.strerror or error}") from None
     except zipfile.BadZipFile as error:
-        what = "damaged" if zipfile.is_zipfile(path) else "no checkpoint of orch, or one that was cut off"
+        what = "damaged" if zipfile.is_zipfile(path) else "not a checkpoint of orch, or one that was cut off"
         raise StoreError(f"{path} is {what}: {error}") from None
     except (*DAMAGED, KeyError, TypeError) as error:
-        raise StoreError(f"{path} is no checkpoint of orch, or damaged: {error}") from None
+        raise StoreError(f"{path} is not a checkpoint of orch, or damaged: {error}") from None
     if about.get("digest") != digest_of(values, states):
         raise StoreError(f"{path} is damaged: its content does not have the digest that it names")
     names = [component["name"] for component in components]

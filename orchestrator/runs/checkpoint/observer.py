@@ -55,13 +55,13 @@ def ticks_of(plan: Plan, times: Iterable[float]) -> list[int]:
     for time in times:
         key = f"--checkpoint-at {time:.10g}"
         if not math.isfinite(time):
-            problems.append(Problem(key, "is no time"))
+            problems.append(Problem(key, "is not a time"))
         elif (tick := grid.ticks(time)) is None:
             near = " or ".join(f"{t:.10g}" for t in grid.nearest(time))
             problems.append(Problem(key, f"is not a multiple of master.step = {master.step:g} s; try {near}"))
         elif tick <= plan.first:
             begins = f"the run begins at t = {grid.time(plan.first):.10g} s"
-            problems.append(Problem(key, f"{begins}: there is nothing to save before it has made a step"))
+            problems.append(Problem(key, f"{begins}: nothing can be saved before its first step"))
         elif tick > plan.steps:
             problems.append(Problem(key, f"is after master.stop_time = {master.stop_time:.10g} s"))
         else:
@@ -82,5 +82,5 @@ def _unable(component: Component) -> str:
     if component.live:
         return f"{component.fmu_name} runs inside orch, and what it does comes from outside"
     if missing := [name for name in ABLE if not component.fmu.capabilities[name]]:
-        return f"{component.fmu_name} says of itself: no {', no '.join(missing)}"
+        return f"{component.fmu_name} declares no {', no '.join(missing)}"
     return ""

@@ -13,7 +13,7 @@ Json = dict[str, Any]  # a JSON Schema, draft 7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class ValueType:
     """What a value may be.
 
     words: for the reference.  json: the JSON Schema of it.  problem: what is wrong with a value, as a message has it
@@ -35,7 +35,7 @@ class Key:
     """
 
     name: str
-    kind: Kind
+    type: ValueType
     meaning: str
     example: str
     unit: str = ""
@@ -91,9 +91,9 @@ class Section:
         for key in self.keys:
             sentence = f"is missing{key.missing}" if key.required else ""
             if key.name in table:
-                sentence = key.kind.problem(table[key.name])
+                sentence = key.type.problem(table[key.name])
                 if not sentence:
-                    values[key.name] = key.kind.convert(table[key.name])
+                    values[key.name] = key.type.convert(table[key.name])
                     continue
             if sentence:
                 problems.append(Problem(below(path, key.name), sentence))
@@ -145,7 +145,7 @@ class Section:
 def _described(key: Key) -> Json:
     unit = f" [{key.unit}]" if key.unit else ""
     default = {"default": key.default} if key.default is not None else {}
-    return {"description": f"{key.meaning}{unit}", **key.kind.json, **default}
+    return {"description": f"{key.meaning}{unit}", **key.type.json, **default}
 
 
 def below(path: str, key: str) -> str:
@@ -162,25 +162,25 @@ def is_whole(value: Any) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _kind(words: str, json: Json, fits: Callable[[Any], bool], otherwise: str) -> Kind:
+def _type(words: str, json: Json, fits: Callable[[Any], bool], otherwise: str) -> ValueType:
     """otherwise: what a message says after "is VALUE" of one that does not fit."""
-    return Kind(words=words, json=json, problem=lambda value: "" if fits(value) else f"is {value!r}{otherwise}")
+    return ValueType(words=words, json=json, problem=lambda value: "" if fits(value) else f"is {value!r}{otherwise}")
 
 
-TEXT = _kind("text", {"type": "string"}, lambda value: isinstance(value, str), ", not a text")
-TRUTH = _kind("true or false", {"type": "boolean"}, lambda value: isinstance(value, bool), ", not true or false")
-TABLE = _kind("table", {"type": "object"}, lambda value: isinstance(value, dict), ", not a table")
+TEXT = _type("text", {"type": "string"}, lambda value: isinstance(value, str), ", not a text")
+TRUTH = _type("true or false", {"type": "boolean"}, lambda value: isinstance(value, bool), ", not true or false")
+TABLE = _type("table", {"type": "object"}, lambda value: isinstance(value, dict), ", not a table")
 
 
 def number(
     least: float | None = None, greatest: float | None = None, otherwise: str = "; give a finite number"
-) -> Kind:
+) -> ValueType:
     """A real number, from `least` to `greatest`."""
     json: Json = {"type": "number"}
     json |= {"minimum": least} if least is not None else {}
     json |= {"maximum": greatest} if greatest is not None else {}
     low, high = -math.inf if least is None else least, math.inf if greatest is None else greatest
-    return Kind(
+    return ValueType(
         words="number",
         json=json,
         problem=lambda value: "" if is_number(value) and low <= value <= high else f"is {value!r}{otherwise}",
@@ -188,9 +188,9 @@ def number(
     )
 
 
-def positive(otherwise: str) -> Kind:
+def positive(otherwise: str) -> ValueType:
     """A real number above zero."""
-    return Kind(
+    return ValueType(
         words="positive number",
         json={"type": "number", "exclusiveMinimum": 0},
         problem=lambda value: "" if is_number(value) and value > 0 else f"is {value!r}{otherwise}",
@@ -201,7 +201,7 @@ def positive(otherwise: str) -> Kind:
 SECONDS = positive("; give a positive number of seconds")
 
 
-def whole(least: int | None = None, greatest: int | None = None, otherwise: str = "") -> Kind:
+def whole(least: int | None = None, greatest: int | None = None, otherwise: str = "") -> ValueType:
     """A whole number, from `least` to `greatest`."""
     json: Json = {"type": "integer"}
     json |= {"minimum": least} if least is not None else {}
@@ -211,10 +211,10 @@ def whole(least: int | None = None, greatest: int | None = None, otherwise: str 
     def fits(value: Any) -> bool:
         return is_whole(value) and (least is None or value >= least) and (greatest is None or value <= greatest)
 
-    return _kind("whole number", json, fits, ask)
+    return _type("whole number", json, fits, ask)
 
 
-def one_of(*choices: str) -> Kind:
+def one_of(*choices: str) -> ValueType:
     """One of some words."""
 
     def problem(value: Any) -> str:
@@ -222,37 +222,47 @@ def one_of(*choices: str) -> Kind:
             return TEXT.problem(value)
         return "" if value in choices else f"no {value!r}{did_you_mean(value, choices)}"
 
-    return Kind(words=" or ".join(f'`"{choice}"`' for choice in choices), json={"enum": list(choices)}, problem=problem)
+    return ValueType(
+        words=" or ".join(f'`"{choice}"`' for choice in choices), json={"enum": list(choices)}, problem=problem
+    )
 
 
-def list_of(kind: Kind, otherwise: str) -> Kind:
-    """A list; otherwise: what a message says after "is VALUE" of what is none."""
+def list_of(
+    type: ValueType | None = None, least: int = 0, greatest: int | None = None, otherwise: str = ", not a list"
+) -> ValueType:
+    """A list of values, of one type if it is given, from `least` to `greatest` of them."""
+    json: Json = {"type": "array"}
+    json |= {"items": type.json} if type else {}
+    json |= {"minItems": least} if least else {}
+    json |= {"maxItems": greatest} if greatest is not None else {}
 
     def fits(value: Any) -> bool:
-        return isinstance(value, list) and not any(kind.problem(below) for below in value)
+        if not isinstance(value, list) or len(value) < least or (greatest is not None and len(value) > greatest):
+            return False
+        return type is None or not any(type.problem(item) for item in value)
 
-    return _kind(f"list of {kind.words}s", {"type": "array", "items": kind.json}, fits, otherwise)
+    return _type(f"list of {type.words}s" if type else "list", json, fits, otherwise)
 
 
-def table(section: Section) -> Kind:
+def table(section: Section) -> ValueType:
     """A table with the keys of a section; what is in it, `Section.read` judges."""
-    return Kind(words="table", json=section.json, problem=TABLE.problem)
+    return ValueType(words="table", json=section.json, problem=TABLE.problem)
 
 
-def named(kind: Kind, pattern: str = "") -> Kind:
-    """A table whose keys the user chooses, each with a value of one kind; values are judged one by one."""
+def named(type: ValueType, pattern: str = "") -> ValueType:
+    """A table whose keys the user chooses, each with a value of one type; values are judged one by one."""
     if not pattern:
-        json: Json = {"type": "object", "additionalProperties": kind.json}
+        json: Json = {"type": "object", "additionalProperties": type.json}
     else:
-        json = {"type": "object", "patternProperties": {pattern: kind.json}, "additionalProperties": False}
-    return Kind(words=f"table of {kind.words}s", json=json, problem=TABLE.problem)
+        json = {"type": "object", "patternProperties": {pattern: type.json}, "additionalProperties": False}
+    return ValueType(words=f"table of {type.words}s", json=json, problem=TABLE.problem)
 
 
-def either(*kinds: Kind, otherwise: str) -> Kind:
-    """A value of one of several kinds."""
-    return _kind(
-        " or ".join(kind.words for kind in kinds),
-        {"anyOf": [kind.json for kind in kinds]},
-        lambda value: any(not kind.problem(value) for kind in kinds),
+def either(*types: ValueType, otherwise: str = "") -> ValueType:
+    """A value of one of several types."""
+    return _type(
+        " or ".join(type.words for type in types),
+        {"anyOf": [type.json for type in types]},
+        lambda value: any(not type.problem(value) for type in types),
         otherwise,
     )
