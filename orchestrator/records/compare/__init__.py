@@ -1,0 +1,1 @@
+"""What several records say together, and the vehicles of one; `settings` says which module compares what."""

@@ -1,4 +1,4 @@
-"""What tells runs apart, in a few words for a legend."""
+"""A few words for each of several runs that tell it from the others, for legends and tables."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import glob
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 DIGITS = 4  # significant ones, of the numbers in tables; the best is judged at them
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Column:
     """A metric.  of: its kind, a key of METRICS; unit: "" where it has none; ranked: whether the smallest is best."""
 
@@ -33,15 +33,23 @@ class Column:
     unit: str
     ranked: bool
 
+    @classmethod
+    def of_spec(cls, name: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> Column:
+        """Of an entry of [metrics].  units: {signal: unit}."""
+        if spec["of"] not in METRICS:  # in a record of another version of orch
+            return cls(name=name, of=spec["of"], unit=spec.get("unit", ""), ranked=False)
+        unit = unit_of(spec, units)
+        return cls(name=name, of=spec["of"], unit="" if unit == "1" else unit, ranked=smaller_is_better(spec))
+
     @property
     def head(self) -> str:
         """rmse_x [m], as in the first line of CSV files."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A run.  label: what tells it from the others; metrics: nan where there is no number (no sample, never)."""
+    """A run.  label: what tells it from the others; metrics: nan where a metric has no value."""
 
     name: str
     path: Path
@@ -52,7 +60,7 @@ class Entry:
 
     @property
     def title(self) -> str:
-        """How the run ended where it did not complete, then the label: a table may cut the end of it."""
+        """How the run ended, if it did not complete, then the label: a table may cut off the end."""
         return self.label if self.is_completed else f"({self.status}) {self.label}".rstrip()
 
     @property
@@ -69,14 +77,14 @@ class Comparison:
     notes: list[str]
 
     def best(self, column: Column) -> list[Entry]:
-        """The completed runs whose number is nearest to zero, at DIGITS; none where there is nothing to choose."""
+        """The completed runs whose value is nearest to zero, at DIGITS; [] where no run is better than another."""
         numbers = {i: e.metrics.get(column, math.nan) for i, e in enumerate(self.entries)}
         finite_ones = {i: abs(float(digits(v))) for i, v in numbers.items() if math.isfinite(v)}
         ranked = {i: v for i, v in finite_ones.items() if self.entries[i].is_completed}
         if not column.ranked or len(finite_ones) < 2 or not ranked:
             return []
-        found = [i for i, value in ranked.items() if value == min(ranked.values())]
-        return [] if 1 < len(found) == len(finite_ones) else [self.entries[i] for i in found]
+        best = [i for i, value in ranked.items() if value == min(ranked.values())]
+        return [] if 1 < len(best) == len(finite_ones) else [self.entries[i] for i in best]
 
 
 def digits(value: float) -> str:
@@ -85,45 +93,46 @@ def digits(value: float) -> str:
 
 
 def find(store: Store, runs: Sequence[str]) -> list[Path]:
-    """The records that are meant, each once: by glob over files or run ids, or as `Store.find` finds one.
+    """The records that `runs` name, each once: globs over files or run ids, or what `Store.find` takes.
 
-    Raises StoreError where one of them means none.
+    Raises StoreError where one of them names none.
     """
-    paths = [path for run in runs for path in _meant(store, run)]
+    paths = [path for run in runs for path in _matches(store, run)]
     return list({path.resolve(): path for path in reversed(paths)}.values())[::-1]
 
 
-def _meant(store: Store, run: str) -> list[Path]:
+def _matches(store: Store, run: str) -> list[Path]:
     if not glob.has_magic(run) or Path(run).is_file():
         return [store.find(run)]
     files = [Path(name) for name in sorted(glob.glob(run, recursive=True)) if name.endswith(".h5")]
     records = store.records()
-    found = files or [p for p in records if any(fnmatch.fnmatch(n, run) for n in (p.stem, f"{p.parent.name}/{p.stem}"))]
-    if not found:
+    names = {path: (path.stem, f"{path.parent.name}/{path.stem}") for path in records}
+    matches = files or [path for path in records if any(fnmatch.fnmatch(name, run) for name in names[path])]
+    if not matches:
         near = did_you_mean(run, [f"{p.parent.name}/{p.stem}" for p in records], "there are")
         raise StoreError(f"no record fits {run!r}, neither a .h5 file here nor a run id in {store.folder}{near}")
-    return found
+    return matches
 
 
 def compare(paths: Iterable[Path], globs: Sequence[str] = ()) -> Comparison:
     """Read records.  globs: over names of metrics; none chooses all.  Raises StoreError where a glob fits no metric."""
     units: dict[tuple[str, str], str] = {}
-    found = [_read(path, units) for path in paths]
-    names = list(dict.fromkeys(column.name for entry in found for column in entry.metrics))
+    read = [_read(path, units) for path in paths]
+    names = list(dict.fromkeys(column.name for entry in read for column in entry.metrics))
     for pattern in globs:
         if not fnmatch.filter(names, pattern):
             raise StoreError(f"no metric of these runs fits {pattern!r}{did_you_mean(pattern, names, 'there are')}")
-    columns = dict.fromkeys(column for entry in found for column in entry.metrics)
+    columns = dict.fromkeys(column for entry in read for column in entry.metrics)
     chosen = [c for c in columns if not globs or any(fnmatch.fnmatchcase(c.name, pattern) for pattern in globs)]
     entries = [
-        Entry(name, e.path, label, e.status, e.attributes, e.metrics)
-        for e, name, label in zip(found, _names(found), _labels(found), strict=True)
+        replace(entry, name=name, label=label)
+        for entry, name, label in zip(read, _names(read), _labels(read), strict=True)
     ]
     return Comparison(entries, chosen, list(_notes(entries, chosen)))
 
 
 def _read(path: Path, units: dict[tuple[str, str], str]) -> Entry:
-    """A record as an entry without a label.  units: {(digest of an FMU, variable): unit}, those known already."""
+    """A record as an entry without name and label.  units: {(digest of an FMU, variable): unit}, so far."""
     with Run(path) as run:
         attributes, status = run.attributes, run.status
         resolved = attributes["experiment_resolved"]
@@ -131,23 +140,23 @@ def _read(path: Path, units: dict[tuple[str, str], str]) -> Entry:
         values = {}
         for name, value in attributes["metrics"].items():
             spec = resolved["metrics"][name]
-            values[_column(run, name, spec, digests, units)] = math.nan if value is None else float(value)
+            column = Column.of_spec(name, spec, _units(run, spec, digests, units))
+            values[column] = math.nan if value is None else float(value)
     kept = ("run_id", "experiment", "title", "error", "experiment_resolved")
-    return Entry("", path, "", status, {name: attributes[name] for name in kept}, values)
+    facts = {name: attributes[name] for name in kept}
+    return Entry(name="", path=path, label="", status=status, attributes=facts, metrics=values)
 
 
-def _column(
-    run: Run, name: str, spec: Mapping[str, Any], digests: Mapping[str, str], units: dict[tuple[str, str], str]
-) -> Column:
-    if spec["of"] not in METRICS:  # a record of another version of orch
-        return Column(name, spec["of"], spec.get("unit", ""), ranked=False)
-    signal, of_signal = spec["signal"], {}
-    if "{}" in METRICS[spec["of"]].unit and "unit" not in spec:
-        component, _, variable = signal.partition(".")
-        key = digests[component], variable
-        units[key] = of_signal[signal] = units.get(key) or run.units(signal)
-    unit = unit_of(spec, of_signal)
-    return Column(name, spec["of"], "" if unit == "1" else unit, smaller_is_better(spec))
+def _units(
+    run: Run, spec: Mapping[str, Any], digests: Mapping[str, str], known: dict[tuple[str, str], str]
+) -> dict[str, str]:
+    """{signal: unit} as far as the unit of a metric depends on it; read from the record where it is not yet known."""
+    if spec["of"] not in METRICS or "{}" not in METRICS[spec["of"]].unit or "unit" in spec:
+        return {}
+    component, _, variable = spec["signal"].partition(".")
+    key = digests[component], variable
+    known[key] = known.get(key) or run.units(spec["signal"])
+    return {spec["signal"]: known[key]}
 
 
 def _names(entries: Sequence[Entry]) -> list[str]:
@@ -158,7 +167,7 @@ def _names(entries: Sequence[Entry]) -> list[str]:
 
 
 def _labels(entries: Sequence[Entry]) -> list[str]:
-    """The experiment, where there are several, and what differs among the runs of one."""
+    """The experiment, if there are several, and what differs among the runs of one."""
     experiments: dict[str, list[int]] = {}
     for i, entry in enumerate(entries):
         experiments.setdefault(entry.attributes["experiment"], []).append(i)
@@ -170,7 +179,7 @@ def _labels(entries: Sequence[Entry]) -> list[str]:
 
 
 def _differing(entries: Sequence[Entry]) -> list[list[str]]:
-    """What differs; of runs that differ in FMUs, what differs among those with the same ones, too."""
+    """What differs; if runs differ in FMUs, also what differs among those with the same FMUs."""
     words = labels_of([entry.attributes["experiment_resolved"] for entry in entries])
     result = [[word] if word else [] for word in words]
     groups = {word: [i for i, other in enumerate(words) if other == word] for word in words}
@@ -182,7 +191,7 @@ def _differing(entries: Sequence[Entry]) -> list[list[str]]:
 
 
 def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]:
-    """Metrics that share a name, and are not the same thing in all runs."""
+    """Metrics that share a name but are not defined alike in all runs."""
     for name in dict.fromkeys(column.name for column in columns):
         metrics = [e.attributes["experiment_resolved"]["metrics"] for e in entries]
         specs = [of[name] for of in metrics if name in of]
@@ -198,7 +207,7 @@ def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]
 
 
 def _in_order(text: str) -> SupportsRichComparison:
-    """Numbers by their size, before words."""
+    """Key that sorts numbers by their size, before words."""
     try:
         return 0, float(text), text
     except ValueError:

@@ -1,4 +1,4 @@
-"""What a record says of its vehicles: where they went, where they should have gone, what drove them."""
+"""The vehicles of a record: where they went, where they should have gone, what drove them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z", "phi", "theta", "psi")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """The signals of one vehicle, each {axis: (N,)}, without the axes that the record does not hold."""
 
     name: str
     eta: Mapping[str, Reals]  # position in NED and zyx Euler angles [m, rad]
-    eta_d: Mapping[str, Reals]  # what its controller was told to reach, likewise
+    eta_d: Mapping[str, Reals]  # the reference of its controller, likewise
     u: Mapping[str, Reals]  # normalized thruster commands
     v_c: Mapping[str, Reals]  # velocity of the current in NED [m/s]
 
@@ -33,19 +33,19 @@ def vehicles(run: Run) -> list[Vehicle]:
     """The components of a run that put out a whole `eta`, in the order of the record."""
     wiring = _Wiring(run)
     names = [c for c in dict.fromkeys(s.partition(".")[0] for s in run.signals) if _is_vehicle(run, c)]
-    found = []
+    result = []
     for name in names:
         controller = wiring.controller(name, names)
-        found.append(
+        result.append(
             Vehicle(
-                name,
+                name=name,
                 eta={axis: run[f"{name}.eta.{axis}"] for axis in AXES},
                 eta_d=wiring.arriving(f"{controller}.eta_d") if controller else {},
                 u=wiring.arriving(f"{name}.u"),
                 v_c=wiring.arriving(f"{name}.v_c"),
             )
         )
-    return found
+    return result
 
 
 def _is_vehicle(run: Run, component: str) -> bool:
@@ -91,9 +91,9 @@ class _Wiring:
         return None
 
     def controller(self, vehicle: str, others: list[str]) -> str | None:
-        """The nearest component upstream of the vehicle that is given an `eta_d`.
+        """The nearest component upstream of the vehicle that has an input `eta_d`; None if there is none.
 
-        others: vehicles; the search does not go through them, as every controller reads its own vehicle.
+        others: vehicles; the search does not pass them, as every controller reads its own vehicle.
         """
         feeds: dict[str, dict[str, None]] = {}
         for sink, source in self._source.items():

@@ -15,7 +15,6 @@ from ....experiment.experiment import Experiment
 from ....experiment.keys import split_key
 from ....experiment.reader import parse
 from ....experiment.sweep import SweepSpec
-from ....metrics import smaller_is_better, unit_of
 from ....plan import resolve
 from ....plan.plan import Plan
 from ....records.compare.side_by_side import Column
@@ -220,11 +219,7 @@ def _columns(plans: Sequence[Plan]) -> list[Column]:
     units: dict[str, str] = {}
     for plan in plans:
         units |= {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
-    columns = []
-    for name, spec in plans[0].experiment.metrics.items():
-        unit = unit_of(spec, units)
-        columns.append(Column(name, spec["of"], "" if unit == "1" else unit, smaller_is_better(spec)))
-    return columns
+    return [Column.of_spec(name, spec, units) for name, spec in plans[0].experiment.metrics.items()]
 
 
 def _dropped(experiment: Experiment, spec: SweepSpec) -> list[str]:
