@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ..errors import ExperimentError, OrchError, Problem, did_you_mean
 from ..experiment.mavlink import MavlinkSpec
 from ..plan.plan import Component, Plan
@@ -15,7 +13,7 @@ from ..simulation.system import System
 from .protocol.links import Endpoint
 from .vehicle.autopilot import Autopilot, FlightMode
 from .vehicle.control import Control
-from .vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame
+from .vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame, matrix_of
 from .vehicle.parameters import AutopilotParameters
 from .view import is_guided
 
@@ -91,10 +89,7 @@ def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[ThrusterFr
         initialize(system)  # a matrix that is calculated is known only then
         table = system.tables["real"].copy()
         places = {v.name: system.places[component.name, v.name] for v in read}
-    indices = {tuple(int(i) - 1 for i in axis.split(",")): v for axis, v in entries.items()}
-    T = np.zeros(np.array(list(indices)).max(axis=0) + 1)
-    for index, variable in indices.items():
-        T[index] = table[places[variable.name]]
+    T = matrix_of({axis: table[places[variable.name]] for axis, variable in entries.items()})
     max_thrust = float(table[places["max_thrust"]]) if thrust else DEFAULT_MAX_THRUST
     try:
         return ThrusterFrame(T, max_thrust, pwm_map), max_thrust

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from ..vehicle.autopilot import Autopilot
 from ..vehicle.parameters import AutopilotParameter, ParameterType
@@ -206,6 +205,6 @@ def _sender(request: Message) -> tuple[int, int]:
     return request.get_srcSystem(), request.get_srcComponent()
 
 
-def _to_sender(request: Message) -> dict[str, Any]:
+def _to_sender(request: Message) -> dict[str, int]:
     system, component = _sender(request)
     return {"target_system": system, "target_component": component}

@@ -315,7 +315,8 @@ def named_values(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]
 
 def servo_output(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]:
     """The commands of the thrusters, in ArduSub's numbering; all unused (0) if the vehicle has no such frame."""
-    motors = autopilot.frame.pwm(at.u, autopilot.directions()) if autopilot.frame and len(at.u) == 6 else []
+    frame = autopilot.frame
+    motors = frame.pwm(at.u, autopilot.directions()) if frame and len(at.u) == len(frame.motors) else []
     pulses = {f"servo{n}_raw": motors[n - 1] if n <= len(motors) else 0 for n in range(1, 17)}
     return [mavlink.MAVLink_servo_output_raw_message(time_usec=at.microseconds & UINT32, port=0, **pulses)]
 

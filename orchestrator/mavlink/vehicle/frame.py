@@ -7,7 +7,7 @@ in any order: the columns of its thruster matrix say which motor each of them is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -85,6 +85,15 @@ class ThrusterFrame:
             else:
                 u[thruster] = turn * t200_thrust(pulse) / self._max_thrust
         return np.clip(u, -1, 1)
+
+
+def matrix_of(entries: Mapping[str, float]) -> Reals:
+    """The matrix with some entries, {"row,column": value}, numbered from 1; the others are 0."""
+    values = {tuple(int(i) - 1 for i in index.split(",")): value for index, value in entries.items()}
+    matrix = np.zeros(np.array(list(values)).max(axis=0) + 1)
+    for place, value in values.items():
+        matrix[place] = value
+    return matrix
 
 
 def t200_thrust(pwm: float) -> float:

@@ -15,10 +15,10 @@ from ...experiment.mavlink import MavlinkSpec
 from ...mavlink.tlog import LoggedVehicle
 from ...mavlink.tlog import write as write_log
 from ...mavlink.vehicle.autopilot import Autopilot, FlightMode
-from ...mavlink.vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame
+from ...mavlink.vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame, matrix_of
 from ...mavlink.vehicle.parameters import AutopilotParameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
-from ...names import ETA_AXES, NU_AXES
+from ...names import ETA_AXES, NU_AXES, split_axis
 from ...records.compare.vehicles import Vehicle, vehicles
 from ...records.file.run import Run
 from .content import Content
@@ -82,16 +82,13 @@ def _logged(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) 
 
 def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None, dict[str, float]]:
     calculated: dict[str, Any] = json.loads(run.file[component].attrs.get("calculated", "{}"))
-    entries = {name: value for name, value in calculated.items() if name.startswith("T[") and "," in name}
+    indices = {split_axis(name): value for name, value in calculated.items()}
+    entries = {index: value for (vector, index), value in indices.items() if vector == "T" and "," in index}
     if not entries:
         return None, {}
-    places = {name: tuple(int(i) - 1 for i in name[2:-1].split(",")) for name in entries}
-    T = np.zeros(np.array(list(places.values())).max(axis=0) + 1)
-    for name, value in entries.items():
-        T[places[name]] = value
     thrust = _parameter(run, component, "max_thrust", DEFAULT_MAX_THRUST)
     try:
-        return ThrusterFrame(T, thrust, pwm_map), {"SIM_MAX_THRUST": thrust}
+        return ThrusterFrame(matrix_of(entries), thrust, pwm_map), {"SIM_MAX_THRUST": thrust}
     except OrchError as error:
         raise StoreError(f"{run.path}: {component}: {error}") from None
 
