@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
+
+from ..arrays import Reals
 
 EXACT = 1 << 53  # integers up to here are floats
 
@@ -31,7 +32,7 @@ class TimeGrid:
         """k * step [s], rounded once."""
         return k * self._exact.numerator / self._exact.denominator
 
-    def times(self, first: int, last: int) -> Any:
+    def times(self, first: int, last: int) -> Reals:
         """`time` of the ticks from `first` until before `last`, (last - first,)."""
         numerator, denominator = self._exact.numerator, self._exact.denominator
         if last * numerator < EXACT and denominator < EXACT:  # then a quotient of floats is rounded once, too

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import FmuError
 from ...instances.instance import CallFailed
 from ...simulation.initialization import SWEEPS, AlgebraicLoop, exchange, read, set_up
-from ...simulation.stepper import ComponentFailed, Stepper, failing
+from ...simulation.stepper import ComponentFailed, Getter, Setter, Stepper, failing
 from .file import Checkpoint, value_of
 
 if TYPE_CHECKING:
@@ -83,11 +83,11 @@ def _kills(stepper: Stepper, state: bytes) -> str:
     return signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else ""
 
 
-def _put_back(exchanges: Sequence[Any], values: Mapping[str, Any]) -> None:
-    for e in exchanges:
-        for place, variable in enumerate(e.variables):
+def _put_back(calls: Sequence[Setter] | Sequence[Getter], values: Mapping[str, Any]) -> None:
+    for call in calls:
+        for place, variable in enumerate(call.variables):
             if variable.name in values:
-                e.buffer[place] = value_of(e.kind, values[variable.name])
+                call.buffer[place] = value_of(call.kind, values[variable.name])
 
 
 def _settle(system: System, fresh: Sequence[Stepper]) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from ...errors import FmuError, StoreError
 from ...instances.instance import CallFailed
 from ...records.file.provenance import versions
-from ...simulation.stepper import ComponentFailed, Stepper
+from ...simulation.stepper import ComponentFailed, Getter, Setter, Stepper
 from ...simulation.system import System
 from .file import ABOUT, FORMAT, FORMAT_VERSION, VALUES, digest_of, plain
 
@@ -89,9 +89,9 @@ def _facts(system: System, stepper: Stepper) -> dict[str, Any]:
     }
 
 
-def _of_buffers(exchanges: Sequence[Any]) -> dict[str, Any]:
+def _of_buffers(calls: Sequence[Setter] | Sequence[Getter]) -> dict[str, Any]:
     return {
-        variable.name: plain(e.kind, value)
-        for e in exchanges
-        for variable, value in zip(e.variables, e.buffer, strict=True)
+        variable.name: plain(call.kind, value)
+        for call in calls
+        for variable, value in zip(call.variables, call.buffer, strict=True)
     }
