@@ -400,7 +400,7 @@ def test_parameters_come_from_every_level_and_the_outer_one_wins(orch, theirs):
     # The mapping is of the file's number, the unit of the result: (2 x 0.25 + 1) ms.
     assert found["two"]["parameters"] == {"at": pytest.approx(0.0015), "mode": 5}
     assert found["two"]["start"] == {"count": 9, "flag": True, "text": "a & b"}  # u is connected
-    assert "no variable is called one.nowhere, two.nowhere: ignored" in orch("check", "theirs.ssp").out
+    assert "no variable is named one.nowhere, two.nowhere: ignored" in orch("check", "theirs.ssp").out
 
 
 def test_everything_that_orch_does_not_run_is_listed_at_once(orch, theirs):

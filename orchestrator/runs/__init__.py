@@ -1,0 +1,1 @@
+"""One run, from the path of an experiment to its record."""

@@ -107,7 +107,7 @@ class _Importer:
         } | {key: beyond[key] for key in SECTIONS if beyond.get(key)}
         self.notes += [f"{'.'.join(path)} is called {name}" for path, name in self.names.items() if path != (name,)]
         if self.flat.unused:
-            self.notes.append(f"no variable is called {', '.join(self.flat.unused)}: ignored, as SSP has it")
+            self.notes.append(f"no variable is named {', '.join(self.flat.unused)}: ignored, as SSP requires")
         return Imported(table, self.problems, self.notes)
 
     def unpacked(self) -> dict[str, Path]:
