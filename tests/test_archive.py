@@ -8,7 +8,9 @@ import zipfile
 import zlib
 
 import pytest
-from conftest import PROBE_VARIABLES, description_xml, paper_fmu, single
+
+from experiments import single
+from fmu_files import PROBE_VARIABLES, description_xml, paper_fmu
 
 SECONDS = 1.0  # to refuse an FMU; a busy machine gets a few times as many
 XML = description_xml("trap", PROBE_VARIABLES)

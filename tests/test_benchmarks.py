@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import needs_compiler
+
+from fmu_files import needs_compiler
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
 

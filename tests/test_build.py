@@ -5,36 +5,16 @@ import re
 import shutil
 
 import pytest
-from conftest import EXPERIMENTS, MODELS, merged, single
 
+import fmu_files
 import orchestrator
+from experiments import EXPERIMENTS, merged, single
 from orchestrator.models import catalogue
 
 EXAMPLES = EXPERIMENTS.parent / "examples"
 SHIPPED = {"native", "python"} | {f"{name}.{kind}" for name in catalogue.shipped() for kind in ("fmu", "json")}
 
-OFFSET = '''
-from helper import OFFSET
-from uuv import Output, PythonModel, Signal
-
-
-class {name}(PythonModel):
-    """y = t + an offset."""
-
-    y = Output(Signal((), "m", "a number"))
-
-    def do_step(self, t, h):
-        from helper import offset_later
-
-        self.y = t + h + OFFSET + offset_later()
-'''
-HELPER = """
-OFFSET = {offset}
-
-
-def offset_later():
-    return {offset}
-"""
+CLOCK = fmu_files.model("clock")
 
 
 @pytest.fixture
@@ -61,6 +41,10 @@ def model(tmp_path):
     return write
 
 
+def helper(offset):
+    return fmu_files.model("offset/helper").replace("OFFSET = 1", f"OFFSET = {offset}")
+
+
 def built(folder):
     """When the models that are not shipped were built."""
     found = (folder / "build" / "python").glob("*.fmu")
@@ -77,7 +61,7 @@ def last(answer, folder):
 
 
 def test_what_is_up_to_date_is_not_built_again(fresh, model, tmp_path):
-    path = model("mine", MODELS["clock"])
+    path = model("mine", CLOCK)
     first = fresh("build", path)
     assert (first.code, first.err) == (0, "building mine\n")
     assert first.out == "build/python/mine.fmu\n"
@@ -92,25 +76,25 @@ def test_what_is_up_to_date_is_not_built_again(fresh, model, tmp_path):
 
 def test_a_file_with_the_name_of_a_library_module_does_not_stop_a_build(fresh, model):
     model("json", "raise SystemExit('shadowed')\n")
-    assert fresh("build", model("mine", MODELS["clock"])).code == 0
+    assert fresh("build", model("mine", CLOCK)).code == 0
 
 
 def test_only_what_has_changed_is_built(fresh, model, tmp_path):
     for name in ("first", "second"):
-        model(name, OFFSET.format(name=name.capitalize()))
-    model("helper", HELPER.format(offset=1))
-    model("third", MODELS["clock"])
+        model(name, fmu_files.model("offset/offset"))
+    model("helper", helper(1))
+    model("third", CLOCK)
     names = [f"{name}.py" for name in ("first", "second", "third")]
     assert fresh("build", *names).code == 0
-    model("third", MODELS["clock"] + "\n# a remark\n")
+    model("third", CLOCK + "\n# a remark\n")
     assert fresh("build", *names).err == "building third\n"
-    model("helper", HELPER.format(offset=2))
+    model("helper", helper(2))
     assert fresh("build", *names).err == "building first\nbuilding second\n"
     assert fresh("build", *names).err == ""
 
 
 def test_the_same_source_gives_the_same_bytes(fresh, orch, model, tmp_path):
-    path = model("mine", MODELS["waves"])
+    path = model("mine", fmu_files.model("waves"))
     other = {**os.environ, "ORCH_BUILD": str(tmp_path / "other")}
     for options in ([path, "pid"], ["pid", "--python"]):
         answer, again = fresh("build", *options, "--force"), orch("build", *options, env=other)
@@ -120,11 +104,11 @@ def test_the_same_source_gives_the_same_bytes(fresh, orch, model, tmp_path):
 
 
 def test_a_run_builds_what_has_changed(fresh, model, write, tmp_path):
-    path = model("mine", MODELS["clock"])
+    path = model("mine", CLOCK)
     fresh("build", path)
     experiment = write(single("mine"))
     assert fresh("run", experiment).err == ""
-    model("mine", MODELS["clock"].replace("round(t + h, 9)", "7.0"))
+    model("mine", CLOCK.replace("round(t + h, 9)", "7.0"))
     answer = fresh("run", experiment)
     assert answer.err == "building mine\n"
     assert answer.out.startswith("mine ")
@@ -132,7 +116,7 @@ def test_a_run_builds_what_has_changed(fresh, model, write, tmp_path):
 
 
 def test_an_fmu_whose_source_is_gone_still_runs(fresh, model, write, tmp_path):
-    model("mine", MODELS["clock"])
+    model("mine", CLOCK)
     fresh("build", "mine.py")
     (tmp_path / "mine.py").unlink()
     assert last(fresh("run", write(single("mine")), "--json"), tmp_path)["one.n"] == 5.0
@@ -148,10 +132,10 @@ def test_an_fmu_whose_source_is_gone_still_runs(fresh, model, write, tmp_path):
         ("\n\nraise ValueError('not today')\n", "line 3: ValueError: not today"),
         ("\nimport nothing_of_that_name\n", "line 2: ModuleNotFoundError: No module named 'nothing_of_that_name'"),
         ("x = 1\n", "one class derived from Model or PythonModel; this one has none"),
-        (MODELS["clock"] + MODELS["relay"], "this one has Clock, Relay"),
-        (MODELS["clock"].replace("def do_step", "def step"), "this one has none"),
-        (MODELS["clock"].replace('"m"', '"furlong"'), "unit 'furlong': 'furlong' is unknown; known: 1, -, %, m, mm"),
-        (MODELS["clock"].replace('"m"', '"m s"'), "unit 'm s': 'm s' is not a symbol with an exponent"),
+        (CLOCK + fmu_files.model("relay"), "this one has Clock, Relay"),
+        (CLOCK.replace("def do_step", "def step"), "this one has none"),
+        (CLOCK.replace('"m"', '"furlong"'), "unit 'furlong': 'furlong' is unknown; known: 1, -, %, m, mm"),
+        (CLOCK.replace('"m"', '"m s"'), "unit 'm s': 'm s' is not a symbol with an exponent"),
     ],
 )
 def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path, source, words):
@@ -164,25 +148,14 @@ def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path,
 
 
 def test_an_equation_with_a_mistake_is_told_with_its_line(fresh, model):
-    source = """
-from uuv import ETA, TAU, Input, Model, Output
-
-
-class Mine(Model):
-    eta = Input(ETA)
-    tau = Output(TAU)
-
-    def step(self, t, h):
-        return {"tau": self.eta + self.nu}
-"""
-    answer = fresh("build", model("mine", source))
+    answer = fresh("build", model("mine", fmu_files.model("mistaken")))
     assert answer.code == 2
-    assert "line 10: AttributeError: " in answer.err
+    assert "line 11: AttributeError: " in answer.err
     assert "'nu'" in answer.err
 
 
 def test_a_mistake_in_one_model_leaves_the_others(fresh, model, tmp_path):
-    model("good", MODELS["clock"])
+    model("good", CLOCK)
     model("bad", "x = ")
     answer = fresh("build", "bad.py", "good.py")
     assert answer.code == 2
@@ -191,8 +164,8 @@ def test_a_mistake_in_one_model_leaves_the_others(fresh, model, tmp_path):
 
 
 def test_a_mistake_in_a_model_is_a_problem_of_the_experiment(fresh, model, write, tmp_path):
-    fresh("build", model("mine", MODELS["clock"]))
-    model("mine", MODELS["clock"].replace("self.n + (h > 0)", "self.n +"))
+    fresh("build", model("mine", CLOCK))
+    model("mine", CLOCK.replace("self.n + (h > 0)", "self.n +"))
     answer = fresh("run", write(merged(single("mine"), {"master.algorithm": "jakobi"})))
     assert answer.code == 2
     assert "2 problems" in answer.err
@@ -202,7 +175,7 @@ def test_a_mistake_in_a_model_is_a_problem_of_the_experiment(fresh, model, write
 
 
 def test_the_name_of_a_shipped_model_is_refused(fresh, model, tmp_path):
-    answer = fresh("build", model("pid", MODELS["clock"]))
+    answer = fresh("build", model("pid", CLOCK))
     assert answer.code == 2
     assert "'pid' is the name of a model that comes with orch; rename the file" in answer.err
 
@@ -216,15 +189,15 @@ def test_the_name_of_a_shipped_model_is_refused(fresh, model, tmp_path):
     ],
 )
 def test_what_cannot_be_built_says_why(fresh, model, name, words):
-    model("mine", MODELS["clock"])
-    model("my-model", MODELS["clock"])
+    model("mine", CLOCK)
+    model("my-model", CLOCK)
     answer = fresh("build", name)
     assert answer.code == 2
     assert words in answer.err
 
 
 def test_what_a_model_prints_does_not_disturb_its_build(fresh, model):
-    answer = fresh("build", model("mine", 'print("{}")\n' + MODELS["clock"]))
+    answer = fresh("build", model("mine", 'print("{}")\n' + CLOCK))
     assert (answer.code, answer.out) == (0, "build/python/mine.fmu\n")
 
 
@@ -234,8 +207,8 @@ def test_what_a_model_prints_does_not_disturb_its_build(fresh, model):
 def test_two_models_with_different_modules_of_one_name_each_use_their_own(fresh, model, write, tmp_path):
     """All Python FMUs of a process share one interpreter: with plain imports the second would use the first's."""
     for name, offset in (("north", 10), ("south", 200)):
-        model(f"{name}/{name}", OFFSET.format(name=name.capitalize()))
-        model(f"{name}/helper", HELPER.format(offset=offset))
+        model(f"{name}/{name}", fmu_files.model("offset/offset"))
+        model(f"{name}/helper", helper(offset))
     assert fresh("build", "north/north.py", "south/south.py").code == 0
     table = single("north", name="north")
     for names in (["north", "south", "again"], ["south", "north", "again"]):
@@ -251,7 +224,7 @@ def test_a_model_may_bring_a_package_of_its_own(fresh, model, write, tmp_path):
     model("parts/__init__", "from .inner import VALUE\n")
     model("parts/inner", "import numpy as np\nfrom parts.deeper import BASE\n\nVALUE = float(np.sqrt(BASE))\n")
     model("parts/deeper", "BASE = 49.0\n")
-    source = MODELS["clock"].replace("from uuv", "import parts\nfrom uuv").replace("round(t + h, 9)", "parts.VALUE")
+    source = CLOCK.replace("from uuv", "import parts\nfrom uuv").replace("round(t + h, 9)", "parts.VALUE")
     fresh("build", model("mine", source))
     shutil.rmtree(tmp_path / "parts")  # what it needs is in the FMU
     (tmp_path / "mine.py").unlink()

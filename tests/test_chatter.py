@@ -5,28 +5,9 @@ import json
 import h5py
 import pytest
 
+from fmu_files import SOURCES
 from orchestrator import open_run, run
 from orchestrator.models import build
-
-ALTERNATING = '''
-from uuv import Output, Parameter, PythonModel, Signal, State
-
-
-class Alternating(PythonModel):
-    """Changes its sign in a share of its steps; or its side, between limits that are both positive."""
-
-    n = State(Signal((), "1", "steps done"))
-    y = Output(Signal(("a", "b"), "m", "a changes its sign, b does not and is of size 1"))
-    share = Parameter(1.0, "1", "share of the steps in which a changes its sign")
-    size = Parameter(1.0, "m", "amplitude")
-    end = Parameter(1e9, "s", "when it ends the run")
-
-    def do_step(self, t, h):
-        self.n = self.n + (h > 0)
-        changes = int(self.n * self.share)
-        self.y = [self.size * (-1) ** changes, 1.0]
-        return t < self.end
-'''
 
 EXPERIMENT = """
 [master]
@@ -42,10 +23,8 @@ every = {every}
 
 
 @pytest.fixture(scope="module")
-def alternating(_build_folder, tmp_path_factory):
-    source = tmp_path_factory.mktemp("models") / "alternating.py"
-    source.write_text(ALTERNATING, encoding="utf-8")
-    build.build([str(source)])
+def alternating(_build_folder):
+    build.build([str(SOURCES / "alternating.py")])
 
 
 @pytest.fixture

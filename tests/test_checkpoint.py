@@ -2,74 +2,31 @@
 
 import json
 import os
-import subprocess
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import COMPILER, merged, needs_compiler, paper_fmu, single
 
 import orchestrator
-from orchestrator.fmu.fmu import platform_folder
+from experiments import merged, single
+from fmu_files import COMPILER, SOURCES, compile_fmu, needs_compiler, paper_fmu
 
-SOURCE = Path(__file__).parent / "c" / "bucket.c"
-ABLE = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"'
-ABLE3 = ABLE.replace("FMUstate", "FMUState")
-
-
-def description2(name):
-    def real(reference, name, causality, start, variability="continuous"):
-        given = f'start="{start}"' if start is not None else ""
-        return (
-            f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
-            f'variability="{variability}"><Real {given}/></ScalarVariable>'
-        )
-
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{{name}}}">
-<CoSimulation modelIdentifier="{name}" {ABLE}/>
-<ModelVariables>{real(0, "u", "input", 0)}{real(1, "y", "output", None)}{real(2, "began", "output", None)}
-{real(3, "refuses", "parameter", 0, "fixed")}
-<ScalarVariable name="steps" valueReference="10" causality="output" variability="discrete"><Integer/></ScalarVariable>
-<ScalarVariable name="words" valueReference="20" causality="output" variability="discrete"><String/></ScalarVariable>
-</ModelVariables><ModelStructure><Outputs><Unknown index="2" dependencies=""/><Unknown index="3" dependencies=""/>
-<Unknown index="5" dependencies=""/><Unknown index="6" dependencies=""/></Outputs></ModelStructure>
-</fmiModelDescription>"""
-
-
-def description3(name):
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="{{{name}}}">
-<CoSimulation modelIdentifier="{name}" {ABLE3}/>
-<ModelVariables><Float64 name="u" valueReference="0" causality="input" start="0"/>
-<Float64 name="y" valueReference="1" causality="output"/><Float64 name="began" valueReference="2" causality="output"/>
-<Float64 name="refuses" valueReference="3" causality="parameter" variability="fixed" start="0"/>
-<Int32 name="steps" valueReference="10" causality="output"/></ModelVariables>
-<ModelStructure><Output valueReference="1" dependencies=""/><Output valueReference="2" dependencies=""/>
-<Output valueReference="10" dependencies=""/></ModelStructure></fmiModelDescription>"""
+ABLE = ('canGetAndSetFMUstate="true"', 'canSerializeFMUstate="true"')
 
 
 @pytest.fixture(scope="session")
 def buckets(tmp_path_factory):
-    """{version of FMI: the FMU of tests/c/bucket.c}, and one that saves addresses."""
+    """{version of FMI: the FMU of fmus/bucket.c}, and one that saves addresses."""
     if COMPILER is None:
         return {}
-    return {
-        2: bucket(tmp_path_factory.mktemp("bucket2"), 2, description2, []),
-        3: bucket(tmp_path_factory.mktemp("bucket3"), 3, description3, ["-DFMI3"]),
-        "addresses": bucket(tmp_path_factory.mktemp("addresses"), 2, description2, ["-DADDRESSES"]),
-    }
 
+    def bucket(version, *flags):
+        path = tmp_path_factory.mktemp("bucket") / "bucket.fmu"
+        description = (SOURCES / f"bucket{version}.xml").read_text()
+        return compile_fmu(path, "bucket.c", description, "-O1", *flags, version=version)
 
-def bucket(folder, version, describe, flags):
-    platform, suffix = platform_folder(version)
-    library = folder / f"bucket{suffix}"
-    subprocess.run([COMPILER, "-w", "-shared", "-fPIC", "-O1", *flags, "-o", library, SOURCE], check=True)
-    with zipfile.ZipFile(folder / "bucket.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", describe("bucket"))
-        archive.write(library, f"binaries/{platform}/{library.name}")
-    return folder / "bucket.fmu"
+    return {2: bucket(2), 3: bucket(3, "-DFMI3"), "addresses": bucket(2, "-DADDRESSES")}
 
 
 @pytest.fixture
@@ -151,7 +108,7 @@ def test_fmus_of_pythonfmu_go_on_where_they_say_that_they_can(orch, foreign, wri
         for name in archive.namelist():
             content = archive.read(name)
             if name == "modelDescription.xml":
-                for flag in ABLE.split():
+                for flag in ABLE:
                     content = content.replace(flag.replace("true", "false").encode(), flag.encode())
             copy.writestr(name, content)
     table = merged(single(able), {"components.two": {"fmu": str(able), "start": "fmu", "isolation": "process"}})

@@ -5,9 +5,10 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ORCH, single
 
 import orchestrator
+from commands import ORCH
+from experiments import single
 from orchestrator.cli.main import COMMANDS
 
 

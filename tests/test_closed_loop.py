@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import orchestrator as orch
+from fmu_files import SOURCES
 from orchestrator.models import build, catalogue
 
 EXPERIMENTS = catalogue.experiments_folder()
@@ -109,48 +110,6 @@ def test_a_run_is_bit_identical_to_its_repetition_in_another_process(tmp_path):
 # u = K (r - x),  x_dot = u by Euler's method,  r = t^2, with `wire` handing u on.  Every operation is the same as in
 # the models, so that the rows must agree to the last bit.
 
-MODELS = {
-    "law": '''
-class Law(PythonModel):
-    """A control law in plain Python: its output depends on its inputs at once."""
-
-    x, r, u = Input(NUMBER), Input(NUMBER), Output(NUMBER)
-
-    def do_step(self, t, h):
-        self.u = 0.5 * (self.r - self.x)
-''',
-    "wire": '''
-class Wire(Model):
-    """Hands its input on at once."""
-
-    a, b = Input(NUMBER), Output(NUMBER)
-
-    def step(self, t, h):
-        return {"b": self.a}
-''',
-    "plant": '''
-class Plant(Model):
-    """An integrator: its output is a state."""
-
-    u, x = Input(NUMBER), State(NUMBER, 1.0, output=True)
-
-    def step(self, t, h):
-        return {"x": self.x + h * self.u}
-''',
-    "reference": '''
-class Reference(Model):
-    """t^2 at the end of the step."""
-
-    r = Output(NUMBER)
-
-    def step(self, t, h):
-        return {"r": (t + h) ** 2}
-''',
-}
-HEADER = """from uuv import Input, Model, Output, PythonModel, Signal, State
-
-NUMBER = Signal((), "1", "a number")
-"""
 H, K, X_0, STEPS = 0.125, 0.5, 1.0, 24
 
 
@@ -158,11 +117,9 @@ H, K, X_0, STEPS = 0.125, 0.5, 1.0, 24
 def parts(tmp_path_factory):
     """{name: FMU} of the four models, built into a folder of their own."""
     folder = tmp_path_factory.mktemp("parts")
-    for name, text in MODELS.items():
-        (folder / f"{name}.py").write_text(HEADER + text)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ORCH_BUILD", str(folder / "built"))
-        return build.build([str(folder / f"{name}.py") for name in MODELS])
+        patch.setenv("ORCH_BUILD", str(folder))
+        return build.build([str(SOURCES / f"{name}.py") for name in ("law", "wire", "plant", "reference")])
 
 
 @pytest.fixture

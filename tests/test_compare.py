@@ -10,9 +10,10 @@ import time
 
 import h5py
 import pytest
-from conftest import ORCH, merged, single, toml
 
 import orchestrator
+from commands import ORCH
+from experiments import merged, single, toml
 from orchestrator.metrics import METRICS, smaller_is_better
 from orchestrator.views.tables import latex
 

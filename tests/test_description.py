@@ -1,7 +1,9 @@
 """A description that contradicts itself, or FMI, is refused; what it means is never guessed."""
 
 import pytest
-from conftest import PROBE_VARIABLES, description_xml, paper_fmu, single
+
+from experiments import single
+from fmu_files import PROBE_VARIABLES, description_xml, paper_fmu
 from test_archive import with_description
 
 XML = description_xml("trap", PROBE_VARIABLES)

@@ -4,8 +4,10 @@ import os
 import re
 
 import pytest
-from conftest import EXPERIMENTS, merged, paper_fmu
 from lxml import etree
+
+from experiments import EXPERIMENTS, merged
+from fmu_files import paper_fmu
 
 SVG = "{http://www.w3.org/2000/svg}"
 GRIPPING = EXPERIMENTS / "gripping_currents.toml"

@@ -11,10 +11,10 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from conftest import needs_compiler
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
+from fmu_files import SOURCES, needs_compiler
 from orchestrator.fmu import units
 from orchestrator.fmu.fmu import read
 from orchestrator.models import build, catalogue, stamps
@@ -295,46 +295,10 @@ def test_a_restored_state_goes_on_bit_for_bit(shipped, alone, name):
     assert_its_state_round_trips(alone, shipped[name])
 
 
-HIDDEN = '''
-import numpy as np
-from uuv import Input, Output, PythonModel, Signal
-
-
-class Notes:
-    """An object of the user's own class."""
-
-    def __init__(self):
-        self.lines = []
-
-
-class Hidden(PythonModel):
-    """Remembers its inputs where no declaration shows it."""
-
-    x = Input(Signal((), "1", "what it hears"))
-    y = Output(Signal((), "1", "what it makes of it"))
-
-    def __init__(self):
-        self.notes, self.random, self.count = Notes(), np.random.default_rng(7), {"steps": [0]}
-
-    def initialize(self):
-        self.count["steps"][0] += 10
-
-    def do_step(self, t, h):
-        self.notes.lines.append(float(self.x))
-        self.count["steps"][0] += 1
-        self.y = sum(self.notes.lines) + 100 * self.count["steps"][0] + self.random.normal()
-        if self.count["steps"][0] == 13:
-            self.late = 1000.0
-        self.y += getattr(self, "late", 0)
-'''
-
-
 @pytest.fixture
 def hidden(own_folder):
     """The FMU of a plain Python model that keeps its state in attributes of its own."""
-    source = own_folder / "hidden_state.py"
-    source.write_text(HIDDEN)
-    return build.build([str(source)])["hidden_state"]
+    return build.build([str(SOURCES / "hidden_state.py")])["hidden_state"]
 
 
 def test_a_plain_python_model_goes_on_from_a_restored_state_with_what_it_keeps_on_self(alone, hidden):
@@ -388,33 +352,11 @@ def test_two_instances_of_a_plain_python_model_do_not_touch_each_other(alone, hi
     assert_instances_are_apart(alone, hidden)
 
 
-HELPED = '''
-from lever import LENGTH
-from uuv import Output, PythonModel, Signal
-
-
-class {name}(PythonModel):
-    """Gives what its helper holds."""
-
-    y = Output(Signal((), "m", "length"))
-
-    def do_step(self, t, h):
-        self.y = 0.0
-        if h > 0:
-            from arm import twice  # late: in the first step
-
-            self.y = twice(LENGTH)
-'''
-
-
 def write_helped(folder, name, length):
     """A model of two helpers, one of which has a helper itself; y = 2 length + 0.1."""
-    folder.mkdir(exist_ok=True)
-    (folder / f"{name}.py").write_text(HELPED.format(name=name.title().replace("_", "")))
+    shutil.copytree(SOURCES / "helped", folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     (folder / "lever.py").write_text(f"LENGTH = {length}\n")
-    (folder / "arm.py").write_text("from elbow import BEND\n\n\ndef twice(x):\n    return 2 * x + BEND\n")
-    (folder / "elbow.py").write_text("BEND = 0.1\n")
-    return str(folder / f"{name}.py")
+    return str((folder / "helped.py").rename(folder / f"{name}.py"))
 
 
 def test_two_models_with_helpers_of_one_name_compute_each_with_its_own(alone, own_folder):
@@ -452,7 +394,7 @@ def test_an_fmu_does_not_know_where_it_was_built(own_folder, monkeypatch):
         monkeypatch.setenv("ORCH_BUILD", str(own_folder / place / "built"))
         (own_folder / place).mkdir()
         source = own_folder / place / "wanderer.py"
-        source.write_text(HIDDEN)
+        shutil.copy(SOURCES / "hidden_state.py", source)
         contents.append(build.build([str(source)])["wanderer"].read_bytes())
     assert contents[0] == contents[1]
 

@@ -1,8 +1,8 @@
 """The experiment file: what is read from it, what is wrong with it, and what --set and --swap change."""
 
 import pytest
-from conftest import EXPERIMENTS, merged
 
+from experiments import EXPERIMENTS, merged
 from orchestrator.experiment.timegrid import TimeGrid
 
 FAULTS = {

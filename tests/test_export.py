@@ -8,9 +8,10 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import EXPERIMENTS, ORCH, single, toml
 
 import orchestrator
+from commands import ORCH
+from experiments import EXPERIMENTS, single, toml
 from orchestrator.records.compare.vehicles import AXES
 from orchestrator.views.export import foxglove
 

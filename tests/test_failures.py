@@ -10,9 +10,10 @@ import time
 
 import h5py
 import pytest
-from conftest import DEADLINE, ORCH, merged, poll, single
 
 import orchestrator
+from commands import DEADLINE, ORCH, poll
+from experiments import merged, single
 
 HALT = 2.0  # s; the contract says one, the other is for a loaded machine
 

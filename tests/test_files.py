@@ -7,7 +7,9 @@ import subprocess
 import tomllib
 
 import pytest
-from conftest import DEADLINE, EXPERIMENTS, ORCH, toml
+
+from commands import DEADLINE, ORCH
+from experiments import EXPERIMENTS, toml
 
 FIGURE = "a figure is a .png, .pdf or .svg file; let its name end in one of these"
 PAGE = "a report is a .html or .htm file; let its name end in one of these"

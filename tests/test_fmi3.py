@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import zipfile
 from pathlib import Path
 
 import fmpy
@@ -11,11 +9,11 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from conftest import COMPILER, merged, needs_compiler
-from test_archive import with_description
 
 import orchestrator
-from orchestrator.fmu.fmu import platform_folder
+from experiments import merged
+from fmu_files import compile_fmu, needs_compiler
+from test_archive import with_description
 
 pytestmark = needs_compiler
 
@@ -71,30 +69,10 @@ def description(about=""):
 
 @pytest.fixture(scope="session")
 def sponge(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sponge")
-    platform, suffix = platform_folder(3)
-    library = folder / f"sponge{suffix}"
     headers = Path(fmpy.__file__).parent / "c-code"
-    subprocess.run(
-        [
-            COMPILER,
-            "-shared",
-            "-fPIC",
-            "-O1",
-            f"-I{headers}",
-            "-o",
-            library,
-            Path(__file__).parent / "c" / "sponge.c",
-            "-lm",
-        ],
-        check=True,
-    )
-    path = folder / "sponge.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", description())
-        archive.write(library, f"binaries/{platform}/{library.name}")
-        archive.writestr("resources/word.txt", "soaked")
-    return path
+    path = tmp_path_factory.mktemp("sponge") / "sponge.fmu"
+    files = {"resources/word.txt": "soaked"}
+    return compile_fmu(path, "sponge.c", description(), "-O1", f"-I{headers}", version=3, **files)
 
 
 def alone(fmu, stop_time=0.06, **parameters):

@@ -10,7 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import PROBE_VARIABLES, merged, paper_fmu
+
+from experiments import merged
+from fmu_files import PROBE_VARIABLES, paper_fmu
 
 PEERS = Path(__file__).parent / "peers"
 FUZZ = int(os.environ.get("ORCH_FUZZ", "1"))

@@ -3,35 +3,16 @@
 import math
 
 import pytest
-from conftest import merged
 
 import orchestrator
+from experiments import merged
+from fmu_files import SOURCES
 from orchestrator.models import build
-
-CURVE = '''
-import math
-from uuv import Input, Output, Parameter, PythonModel, Signal
-
-
-class Curve(PythonModel):
-    """y = gain u + bias + wave cos(3 u)."""
-
-    u = Input(Signal((), "m", "a number"))
-    y = Output(Signal((), "m", "a number"))
-    gain = Parameter(1.0, "1", "slope")
-    bias = Parameter(0.0, "m", "offset")
-    wave = Parameter(0.0, "m", "amplitude")
-
-    def do_step(self, t, h):
-        self.y = self.gain * self.u + self.bias + self.wave * math.cos(3 * self.u)
-'''
 
 
 @pytest.fixture(scope="module")
-def curve(_build_folder, tmp_path_factory):
-    path = tmp_path_factory.mktemp("curve") / "curve.py"
-    path.write_text(CURVE, encoding="utf-8")
-    build.build([str(path)])
+def curve(_build_folder):
+    build.build([str(SOURCES / "curve.py")])
 
 
 def ring(a, b, **changes):

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ORCH, merged, needs_compiler, poll, single
 
 import orchestrator
+from commands import ORCH, poll
+from experiments import merged, single
+from fmu_files import SOURCES, needs_compiler
 
 pytestmark = [needs_compiler, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX")]
 
@@ -177,23 +179,7 @@ def test_isolation_and_timeout_are_checked(orch, write, probe):
 
 
 def test_an_fmu_that_prints_does_not_spoil_the_answer(orch, write, models, tmp_path):
-    (tmp_path / "chatty.py").write_text(
-        '''
-from uuv import Output, PythonModel, Signal
-
-
-class Chatty(PythonModel):
-    """Talks."""
-
-    y = Output(Signal((), "m", "time"))
-
-    def do_step(self, t, h):
-        print("hello")
-        self.y = t + h
-''',
-        encoding="utf-8",
-    )
-    assert orch("build", "chatty.py", env={**os.environ, "ORCH_BUILD": os.environ["ORCH_BUILD"]}).code == 0
+    assert orch("build", SOURCES / "chatty.py").code == 0
     table = single("chatty")
     table["components"]["one"]["isolation"] = "process"
     assert orch("run", write(table), "--json").json["status"] == "completed"

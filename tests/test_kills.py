@@ -9,9 +9,11 @@ from pathlib import Path
 
 import h5py
 import pytest
-from conftest import COMPILER, ORCH, merged, poll
 
 import orchestrator
+from commands import ORCH, poll
+from experiments import merged
+from fmu_files import COMPILER
 
 KILLS = 20 * int(os.environ.get("ORCH_FUZZ", "1"))
 LONGEST = 3.0  # s of wall time after which a run is killed at the latest
@@ -59,7 +61,7 @@ def test_after_a_kill_at_any_moment_the_rows_are_those_of_the_true_run(shipped, 
 def test_after_a_kill_between_any_two_writes_every_flushed_row_is_there(python, write, spiral, tmp_path):
     """All that a run does to its file, write by write: each state is none yet, or has all rows that were there."""
     library, states = tmp_path / "snapshots.so", tmp_path / "states"
-    source = Path(__file__).parent / "c" / "snapshots.c"
+    source = Path(__file__).parent / "peers" / "snapshots.c"
     subprocess.run([COMPILER, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
     states.mkdir()
     metrics = {"size": {"of": "rms", "signal": "vehicle.eta.x"}}

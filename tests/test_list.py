@@ -11,8 +11,9 @@ import time
 import h5py
 import pytest
 from click.testing import CliRunner
-from conftest import ORCH, merged, poll, single
 
+from commands import ORCH, poll
+from experiments import merged, single
 from orchestrator import open_run
 from orchestrator.cli.main import orch as cli
 from orchestrator.records.compare.vehicles import vehicles

@@ -5,32 +5,15 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import PROBE, PROBE_VARIABLES, compile_fmu, merged, needs_compiler, paper_fmu, single
 
-# What it does is in its name.
-TRAP = (
-    PROBE.replace(
-        "    p = calloc(1, sizeof *p);",
-        """
-    if (!strcmp(name, "falls")) *(volatile int *)0 = 1;
-    p = calloc(1, sizeof *p);""",
-    ).replace(
-        "    p->state = INITIALIZING;",
-        """
-    p->state = INITIALIZING;
-    if (!strcmp(p->name, "aborts")) abort();
-    if (!strcmp(p->name, "leaves")) exit(3);
-    if (!strcmp(p->name, "sleeps")) for (;;) ;""",
-    )
-    + """
-__attribute__((constructor)) static void wake(void) { if (getenv("AWAKE")) fclose(fopen(getenv("AWAKE"), "w")); }
-"""
-)
+from experiments import merged, single
+from fmu_files import PROBE_VARIABLES, needs_compiler, paper_fmu, probe_fmu
 
 
 @pytest.fixture(scope="session")
 def trap(tmp_path_factory):
-    return compile_fmu(tmp_path_factory.mktemp("trap") / "trap.fmu", TRAP, PROBE_VARIABLES)
+    """A probe whose component's name says what it does."""
+    return probe_fmu(tmp_path_factory.mktemp("trap") / "trap.fmu", PROBE_VARIABLES, "-DTRAP")
 
 
 def many(path, *names):

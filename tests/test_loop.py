@@ -11,9 +11,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import COMPILER, EXPERIMENTS, ORCH, merged, needs_compiler, poll, single, toml
 
 import orchestrator
+from commands import ORCH, poll
+from experiments import EXPERIMENTS, merged, single, toml
+from fmu_files import COMPILER, needs_compiler
 from orchestrator.experiment.timegrid import TimeGrid
 from orchestrator.simulation.loop import compiled
 

@@ -9,9 +9,11 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from conftest import EXPERIMENTS, ORCH
-from peers.station import GROUND_STATION, Station, command_long, free_port, ftp_answer, named, to, unpacked
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from commands import ORCH
+from experiments import EXPERIMENTS
+from peers.station import GROUND_STATION, Station, command_long, free_port, ftp_answer, named, to, unpacked
 
 ACCEPTED, FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_FAILED
 UNKNOWN_MESSAGE, UNKNOWN_COMMAND = 77777, 4711

@@ -13,10 +13,11 @@ import time
 import h5py
 import numpy as np
 import pytest
-from conftest import EXPERIMENTS, ORCH
-from peers.station import Station, close_to, free_port, named
 
+from commands import ORCH
+from experiments import EXPERIMENTS
 from orchestrator.mavlink.vehicle.frame import FACTORS
+from peers.station import Station, close_to, free_port, named
 
 GRIPPING = str(EXPERIMENTS / "gripping_currents.toml")
 MAVPROXY = shutil.which("mavproxy.py", path=sysconfig.get_path("scripts"))

@@ -12,10 +12,12 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from conftest import EXPERIMENTS, ORCH, merged
-from peers.station import Station, close_to, command_long, free_port, named
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from commands import ORCH
+from experiments import EXPERIMENTS, merged
+from peers.station import Station, close_to, command_long, free_port, named
 
 GRIPPING = str(EXPERIMENTS / "gripping_currents.toml")
 VERSION = (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)

@@ -10,11 +10,10 @@ import time
 import h5py
 import numpy as np
 import pytest
-from conftest import ORCH, merged
-from peers.ardupilot import PACKET, FakeArdupilot, hover, parsed
-from peers.station import Station, free_port, to
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from commands import ORCH
+from experiments import merged
 from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply
 from orchestrator.mavlink.components.manual import MavlinkManual
@@ -23,6 +22,8 @@ from orchestrator.mavlink.vehicle.autopilot import Autopilot, FlightMode
 from orchestrator.mavlink.vehicle.control import Control, SetPoint, Stick
 from orchestrator.mavlink.vehicle.parameters import AutopilotParameters
 from orchestrator.mavlink.vehicle.sample import Sample
+from peers.ardupilot import PACKET, FakeArdupilot, hover, parsed
+from peers.station import Station, free_port, to
 
 H = 0.01
 POINT = 0x0DF8  # type_mask: everything but the position is ignored

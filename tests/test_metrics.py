@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from conftest import merged, single
 
 import orchestrator
+from experiments import merged, single
 from orchestrator import metrics
 
 T = np.linspace(0.0, 1.0, 1001)

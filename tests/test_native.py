@@ -7,8 +7,8 @@ import math
 import fmpy
 import numpy as np
 import pytest
-from conftest import needs_compiler
 
+from fmu_files import needs_compiler
 from orchestrator.errors import FmuError
 from orchestrator.fmu.fmu import read
 from orchestrator.instances.fmi2 import Fmi2Instance

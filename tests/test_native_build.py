@@ -12,9 +12,12 @@ import zipfile
 import fmpy
 import numpy as np
 import pytest
-from conftest import COMPILER, EXPERIMENTS, MODELS, ORCH, needs_compiler
 
+import fmu_files
 import orchestrator
+from commands import ORCH
+from experiments import EXPERIMENTS
+from fmu_files import COMPILER, needs_compiler
 from orchestrator.fmu.fmu import platform_folder, read
 from orchestrator.models import build, catalogue
 
@@ -239,7 +242,7 @@ def test_the_packaging_can_be_chosen_for_each_run(fresh, write, tmp_path):
 
 @needs_compiler
 def test_plain_python_has_no_native_packaging(fresh, write, tmp_path):
-    (tmp_path / "mine.py").write_text(MODELS["clock"])
+    (tmp_path / "mine.py").write_text(fmu_files.model("clock"))
     sentence = "mine.py cannot be built: ValueError: a PythonModel runs in Python alone and has no native packaging"
     answer = fresh("build", "mine.py", "--native")
     assert (answer.code, answer.out) == (2, "")

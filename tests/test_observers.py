@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from conftest import merged
 
 import orchestrator
+from experiments import merged
 from orchestrator.runs.runner import execute
 from orchestrator.simulation.observer import Observer
 

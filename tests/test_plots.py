@@ -8,9 +8,9 @@ import xml.etree.ElementTree as ET
 import h5py
 import numpy as np
 import pytest
-from conftest import EXPERIMENTS
 
 import orchestrator
+from experiments import EXPERIMENTS
 from orchestrator.errors import OrchError, StoreError
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.drawing import draw

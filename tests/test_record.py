@@ -11,19 +11,11 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from conftest import (
-    DEADLINE,
-    ORCH,
-    PROBE,
-    PROBE_VARIABLES,
-    compile_fmu,
-    merged,
-    needs_compiler,
-    poll,
-    single,
-)
 
 import orchestrator
+from commands import DEADLINE, ORCH, poll
+from experiments import merged, single
+from fmu_files import PROBE_VARIABLES, needs_compiler, probe_fmu
 from orchestrator.records.store.folder import Store
 
 ATTRIBUTES = {
@@ -245,7 +237,7 @@ def test_a_run_that_records_nothing_has_its_times(recorded, spiral):
 @pytest.mark.parametrize("name", ["a/b", "der(x)", "x y", "pump.motor[2].w"])
 def test_a_variable_may_have_any_name(recorded, tmp_path, name):
     variables = [("u", *PROBE_VARIABLES[0][1:]), (name, *PROBE_VARIABLES[1][1:])]
-    path = recorded(single(compile_fmu(tmp_path / "odd.fmu", PROBE, variables)))
+    path = recorded(single(probe_fmu(tmp_path / "odd.fmu", variables)))
     with orchestrator.open_run(path) as run:
         assert run.signals == [f"one.{name}"]
         assert run[f"one.{name}"].tolist() == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
@@ -503,9 +495,8 @@ def test_a_file_of_hdf5_that_is_no_record_says_so(tmp_path):
 def test_thousands_of_signals_are_recorded(recorded, tmp_path):
     """HDF5's own way of attaching a dimension fails at 4085 signals."""
     count = 6000
-    source = PROBE.replace("MODE, SIZE", f"MODE, SIZE = {count + 10}")
     variables = [*PROBE_VARIABLES, *((f"z[{i}]", "Real", "output", None, "m", "z") for i in range(count - 20))]
-    fmu = compile_fmu(tmp_path / "wide.fmu", source, variables)
+    fmu = probe_fmu(tmp_path / "wide.fmu", variables, f"-DSIZE={count + 10}")
     path = recorded(single(fmu))
     with h5py.File(path, "r") as file:
         assert len(file["one"]) == count - 20 + 5

@@ -6,9 +6,9 @@ import tomllib
 
 import jsonschema
 import pytest
-from conftest import EXPERIMENTS, merged
 
 import orchestrator
+from experiments import EXPERIMENTS, merged
 from orchestrator.experiment.reader import parse
 from orchestrator.experiment.schema import reference
 from orchestrator.experiment.schema.sections import SECTIONS

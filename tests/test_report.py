@@ -9,9 +9,10 @@ from html import unescape
 import h5py
 import numpy as np
 import pytest
-from conftest import EXPERIMENTS, poll
 
 import orchestrator
+from commands import poll
+from experiments import EXPERIMENTS
 from orchestrator.errors import OrchError
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.diagram import diagram

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import h5py
 import pytest
-from conftest import COMPILER, EXPERIMENTS, single
 
+import fmu_files
 import orchestrator
+from experiments import EXPERIMENTS, single
+from fmu_files import COMPILER
 
 FILES = sorted(EXPERIMENTS.rglob("*.toml"))
 IDENTICAL = "bit-identical"
@@ -80,12 +82,12 @@ def test_a_run_that_ends_otherwise_differs_and_one_with_fewer_rows(orch, write, 
 
 
 def test_an_fmu_that_is_another_one_now_is_told(orch, write, tmp_path):
-    source = "from uuv import Output, PythonModel, Signal\n\n\nclass Own(PythonModel):\n    y = Output(Signal((), 'm', ''))\n\n    def do_step(self, t, h):\n        self.y = {} * t\n"  # noqa: E501
+    source = fmu_files.model("slope")
     model = tmp_path / "own_clock.py"
-    model.write_text(source.format(1), encoding="utf-8")
+    model.write_text(source, encoding="utf-8")
     orch("build", model)
     record = orch("run", write(single("own_clock")), "--json").json["file"]
-    model.write_text(source.format(2), encoding="utf-8")
+    model.write_text(source.replace("SLOPE = 1", "SLOPE = 2"), encoding="utf-8")
     answer = orch("rerun", record, "--verify")
     assert answer.code == 1
     assert "one: own_clock is not the same any more" in answer.err

@@ -8,9 +8,10 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import ORCH, merged, poll, single
 
 import orchestrator
+from commands import ORCH, poll
+from experiments import merged, single
 
 KEYS = {"run_id", "file", "status", "wall_time", "real_time_factor", "metrics", "warnings", "warning_kinds", "error"}
 

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import test_fmi3
-from conftest import EXPERIMENTS, PROBE_VARIABLES, merged, needs_compiler, paper_fmu, write_zip
 from lxml import etree
 
 import orchestrator
+import test_fmi3
+from experiments import EXPERIMENTS, merged
+from fmu_files import PROBE_VARIABLES, needs_compiler, paper_fmu, write_zip
 from orchestrator.errors import OrchError
 from orchestrator.fmu.fmu import platform_folder
 from orchestrator.runs.prepare import prepare

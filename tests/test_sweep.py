@@ -13,10 +13,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import DEADLINE, ORCH
 from scipy import stats
 
 import orchestrator
+from commands import DEADLINE, ORCH
 from orchestrator.errors import ExperimentError
 from orchestrator.experiment.sweep import read
 from orchestrator.studies.sweep.design.matrix import points

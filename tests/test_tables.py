@@ -5,7 +5,9 @@ import re
 import subprocess
 
 import pytest
-from conftest import DEADLINE, ORCH, single, toml
+
+from commands import DEADLINE, ORCH
+from experiments import single, toml
 
 NAME = "a_vehicle_whose_name_is_longer_than_any_that_one_would_give"
 METRIC = "a_metric_with_a_name_of_its_own"

@@ -5,17 +5,9 @@ import struct
 import zipfile
 
 import pytest
-from conftest import (
-    PROBE,
-    PROBE_VARIABLES,
-    compile_fmu,
-    description_xml,
-    merged,
-    needs_compiler,
-    paper_fmu,
-    single,
-    write_zip,
-)
+
+from experiments import merged, single
+from fmu_files import PROBE_VARIABLES, description_xml, needs_compiler, paper_fmu, probe_fmu, write_zip
 
 
 @pytest.fixture
@@ -416,7 +408,7 @@ def test_an_enumeration_takes_the_numbers_of_its_items_only(resolve, problems, t
 @needs_compiler
 def test_a_run_warns_of_values_beyond_what_an_fmu_declares(orch, write, tmp_path):
     limited = [(*v, "0", "0.01") if v[0] == "at" else v for v in PROBE_VARIABLES]
-    path = write(single(compile_fmu(tmp_path / "probe.fmu", PROBE, limited), at=0.5))
+    path = write(single(probe_fmu(tmp_path / "probe.fmu", limited), at=0.5))
     answer = orch("run", path, "--json")
     assert (answer.code, answer.json["status"]) == (0, "completed")
     assert answer.json["warnings"] == ["one: at = 0.5 is above 0.01, the max that its FMU declares"]

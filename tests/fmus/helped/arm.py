@@ -1,0 +1,5 @@
+from elbow import BEND
+
+
+def twice(x):
+    return 2 * x + BEND

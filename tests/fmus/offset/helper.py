@@ -1,0 +1,5 @@
+OFFSET = 1
+
+
+def offset_later():
+    return OFFSET
