@@ -289,7 +289,9 @@ def test_a_new_experiment_runs(fresh, tmp_path):
     assert answer.out.splitlines()[0] == "first_try.toml"
     assert fresh("check", "first_try.toml").code == 0
     assert fresh("run", "first_try.toml", "--set", "master.stop_time=0.05").code == 0
-    assert (tmp_path / "first_try.toml").read_text().startswith("# first_try: ")
+    first, second = (tmp_path / "first_try.toml").read_text().splitlines()[:2]
+    assert first.startswith("#:schema file://")  # for editors
+    assert second.startswith("# first_try: ")
 
 
 @pytest.mark.parametrize(
