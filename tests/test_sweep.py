@@ -154,6 +154,15 @@ def test_a_run_checks_the_sweep_of_its_experiment_from_python_too(orch, sweep, w
     assert not any(Path(path).parent.glob("results*"))
 
 
+def test_keys_that_would_overwrite_each_other_are_refused(orch, sweep, write):
+    sweep["sweep"]["vary"] |= {f"{FAST}.x": UNIFORM, 'components."vehicle".parameters.m': [9.0, 11.5]}
+    answer = orch("check", write(sweep))
+    assert answer.code == 2
+    assert answer.err.count("keep one of them") == 2
+    assert f"lies in '{FAST}', which varies too" in answer.err
+    assert f"is '{MASS}' in other words" in answer.err
+
+
 def test_a_distribution_that_is_no_name_is_told(orch, sweep, write):
     sweep["sweep"]["vary"][MASS] = {"distribution": {"uniform": 1}}
     answer = orch("check", write(sweep))

@@ -130,7 +130,7 @@ def _experiment(
         *component_problems,
         *metric_problems,
         *(sweep.read(swept)[1] if swept else []),
-        *(tune.read(swept, metrics)[1] if "tune" in swept else []),
+        *(tune.read(swept, metrics)[1] if swept.get("tune") else []),
         *mavlink.read(values.get("mavlink", {}), names)[1],
         *connection_problems,
         *record_problems,

@@ -6,7 +6,6 @@ of the lists.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,7 +26,7 @@ class SweepSpec:
     """A [sweep] that was read.
 
     draws: of the distributions; 0 where a [sweep.tune] stands for it.  skip: how many draws are left out before the
-    first.  design: how they are drawn, one of DESIGNS.  keep: which rows a record keeps, one of KEEP.  lists: the keys
+    first.  design: how they are drawn.  keep: which rows a record keeps.  lists: the keys
     that have lists, those that `zip` joins in one group.  distributions: {key: its table}.
     """
 
@@ -62,7 +61,7 @@ def read(table: Mapping[str, Any]) -> tuple[SweepSpec, list[Problem]]:
         distributions=distributions,
     )
     problems += vary_problems + zip_problems
-    if "tune" not in table:
+    if not table.get("tune"):
         problems += [p for p in incomplete(spec) if p.key != "sweep.vary" or not table.get("vary")]
     return spec, problems
 
@@ -103,11 +102,15 @@ def varying(
     lists: dict[str, tuple[Any, ...]] = {}
     distributions: dict[str, Mapping[str, Any]] = {}
     problems: list[Problem] = []
+    by_parts: dict[tuple[str, ...], str] = {}
     for key, value in table.items():
-        where = f'sweep.vary."{key}"'
-        if not split_key(key):
+        where, parts = f'sweep.vary."{key}"', tuple(split_key(key))
+        if not parts:
             problems.append(Problem(where, "is not a dotted key, such as master.seed"))
-        elif isinstance(value, list):
+            continue
+        if (other := by_parts.setdefault(parts, key)) != key:
+            problems.append(Problem(where, f"is {other!r} in other words; keep one of them"))
+        if isinstance(value, list):
             if not value:
                 problems.append(Problem(where, "is an empty list; name the values to run"))
             lists[key] = tuple(value)
@@ -117,11 +120,10 @@ def varying(
         else:
             hint = 'give a list of values, or a table such as { distribution = "uniform", low = 0.0, high = 1.0 }'
             problems.append(Problem(where, f"is {value!r}; {hint}"))
-    parts = {key: split_key(key) for key in [*lists, *distributions]}
-    for one, other in itertools.permutations(parts, 2):  # they would overwrite each other
-        n = len(parts[one])
-        if parts[other][:n] == parts[one] and (len(parts[other]) > n or one < other):
-            problems.append(Problem(f'sweep.vary."{other}"', f"lies in {one!r}, which varies too; keep one of them"))
+    for parts, key in by_parts.items():
+        outer = [by_parts[parts[:n]] for n in range(1, len(parts)) if parts[:n] in by_parts]
+        if outer:  # they would overwrite each other
+            problems.append(Problem(f'sweep.vary."{key}"', f"lies in {outer[0]!r}, which varies too; keep one of them"))
     return lists, distributions, problems
 
 

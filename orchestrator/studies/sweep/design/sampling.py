@@ -28,7 +28,7 @@ class Vector(dict[str, float]):
 def draw(distributions: Mapping[str, Mapping[str, Any]], method: str, n: int, seed: int) -> dict[str, list[Any]]:
     """n draws of each distribution, {key: values}.
 
-    distributions: {key: its table}; method: one of `experiment.sweep.DESIGNS`; n: of draws.
+    distributions: {key: its table}; method: `design` of [sweep]; n: of draws.
     """
     coordinates = {key: _coordinates(distributions[key]) for key in sorted(distributions)}
     names = [f"{key}/{i}" for key, count in coordinates.items() for i in range(count)]
