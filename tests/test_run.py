@@ -342,7 +342,7 @@ def test_output_spares_what_is_no_record(orch, write, spiral, tmp_path):
     text = path.read_bytes()
     (tmp_path / "folder").mkdir()
     (tmp_path / "notes.txt").write_text("mine")
-    refused = {path: "is already used by this command", "folder": "is a folder", "notes.txt": "no record"}
+    refused = {path: "is already used by this command", "folder": "is a folder", "notes.txt": "not a record"}
     for target, words in refused.items():
         answer = orch("run", path, "--output", target)
         assert answer.code == 2

@@ -77,7 +77,7 @@ def run(
     from ...views import export as exporting
     from ..text import show
 
-    told = silent if quiet or as_json else tell
+    report = silent if quiet or as_json else tell
     experiment, asked = live_of("" if experiment is None and start else experiment, **live)
     used = [file for file in (experiment, start) if file]
     try:
@@ -86,20 +86,20 @@ def run(
         if tlog is not None:
             exporting.require("tlog")
             files.target(tlog, used=[*used, *([output] if output else [])])
-        plan = prepared(experiment or None, sets, swaps, told, packaging, start)
+        plan = prepared(experiment or None, sets, swaps, report, packaging, start)
         if tlog is not None:
             from ...mavlink.fleet import spec_of
 
             spec_of(plan)  # its problems are known before the run
         ticks = ticks_of(plan, times)
         for note in plan.notes:
-            told(f"note: {note}")
+            report(f"note: {note}")
         with asked.tied(plan) as ties, ProgressLine(quiet or as_json) as line:
             again = force or bool(ties.observers)
             observers = [RunProgress(plan, line), *ties.observers]
             result = execute(ties.plan, output, results, again, observers, ties.context, ticks)
         for note in asked.notes:
-            told(f"note: {note}")
+            report(f"note: {note}")
     except OrchError as error:
         if as_json:
             click.echo(json.dumps(show.not_started(error)))
@@ -109,11 +109,11 @@ def run(
     elif not quiet and result.status == "completed":
         click.echo(show.result(result, plan))
     for warning in result.warnings:
-        told(f"warning: {warning}")
+        report(f"warning: {warning}")
     if result.status != "completed":
         click.echo(f"{result.file}: {result.error}", err=True)
     if result.last_inputs:
-        told(show.last_inputs(result))
+        report(show.last_inputs(result))
     if tlog is not None:
         with Run(result.file) as record:
             if len(record.time):  # else the run failed at once, which is reported above
@@ -190,10 +190,10 @@ def check(
     from ...views.figures.diagram import FORMS, draw
     from ..text import show
 
-    told = silent if as_json else tell
+    report = silent if as_json else tell
     target = files.target(diagram, "a diagram", tuple(FORMS), [experiment]) if diagram is not None else None
     try:
-        plan = prepared(experiment, sets, swaps, told, packaging)
+        plan = prepared(experiment, sets, swaps, report, packaging)
         if load:
             from ...runs import trial
 
@@ -207,6 +207,6 @@ def check(
         draw(plan, target)
     click.echo(json.dumps(show.plan_as_json(plan)) if as_json else show.plan(plan))
     if load:
-        told("every FMU was loaded and initialized")
+        report("every FMU was loaded and initialized")
     if target is not None and not as_json:
         click.echo(f"\n{files.short(target)}")
