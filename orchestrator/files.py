@@ -1,4 +1,4 @@
-"""Files that commands write for a person: looked at before the work begins, replaced once they are whole."""
+"""Files that commands write for a person: checked before the work begins, replaced once they are complete."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from .errors import OrchError, StoreError
 
 
 def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used: Iterable[str | Path] = ()) -> Path:
-    """The file that a command is going to write; checked before the work that it waits for.
+    """The file that a command will write, checked before the work begins.
 
-    what: "a figure"; suffixes: one of which its name ends in, none allows any; used: files that the command reads, or
-    writes besides.  Raises OrchError for another suffix, StoreError where the file could not be written.
+    what: what the file is, such as "a figure".  suffixes: those allowed; none allows any.  used: other files that the
+    command reads or writes.  Raises OrchError for another suffix, StoreError where the file could not be written.
     """
     path = Path(path)
     if path.is_dir():
@@ -38,13 +38,13 @@ def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used:
 
 
 def short(path: Path) -> str:
-    """The path as seen from here, where that is shorter."""
+    """The path relative to the current folder, where that is shorter."""
     relative = os.path.relpath(path)
     return relative if len(relative) < len(str(path)) else str(path)
 
 
 def write_text(target: Path, text: str) -> Path:
-    """Write a text as UTF-8, and the folders it lies in.  Raises StoreError; then the file is what it was before."""
+    """Write a text as UTF-8; missing folders are made.  Raises StoreError, and leaves an existing file as it was."""
     with replacing(target) as half:
         half.write_text(text, encoding="utf-8")
     return target
@@ -52,11 +52,11 @@ def write_text(target: Path, text: str) -> Path:
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[Path]:
-    """A file beside the target, which takes its place once it is written.  Raises StoreError."""
+    """Yields a file beside the target, which replaces it once it is written.  Raises StoreError."""
     if target.exists() and not target.is_file():  # a terminal, a pipe: nothing to replace
         final = half = target
     else:
-        final = target.resolve()  # a link stays one
+        final = target.resolve()  # a symbolic link stays one
         half = final.with_name(f"{final.name}.part")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -68,5 +68,5 @@ def replacing(target: Path) -> Iterator[Path]:
         raise StoreError(f"{target} cannot be written: {reason}") from None
     finally:
         if half != final:
-            with contextlib.suppress(OSError):  # it has its name by now, or never had one
+            with contextlib.suppress(OSError):  # it has been renamed, or never existed
                 half.unlink()

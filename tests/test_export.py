@@ -312,7 +312,7 @@ def test_the_name_of_the_file_says_the_format(orch, mixed, tmp_path):
     assert (tmp_path / "new" / "a.csv").read_text(encoding="utf-8-sig").startswith("time [s],one.y")
     answer = orch("export", mixed.path, "-o", "a.txt")
     assert answer.code == 2
-    assert "say which format: --format csv, parquet, mat, netcdf, mcap or tlog" in answer.err
+    assert "give a format: --format csv, parquet, mat, netcdf, mcap or tlog" in answer.err
 
 
 @pytest.mark.parametrize("form", LIBRARIES)
@@ -353,7 +353,7 @@ def test_a_run_without_a_row_says_that_there_is_nothing(orch, mixed, tmp_path):
         file["time"].resize((0,))
     answer = orch("export", target, "--format", "csv")
     assert answer.code == 2
-    assert "holds no row: there is nothing to export" in answer.err
+    assert "holds no rows: there is nothing to export" in answer.err
 
 
 @pytest.mark.parametrize("form", FORMATS)

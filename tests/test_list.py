@@ -266,7 +266,7 @@ def test_diff_shows_only_what_differs(orch, store):
     assert ["master.stop_time", "0.05", "0.1", "+1"] in rows
     assert {row[0] for row in rows} == {"master.stop_time", "metrics.far"}
     same = orch("diff", a, a)
-    assert (same.code, same.out, same.err) == (0, "", "nothing differs but clocks\n")
+    assert (same.code, same.out, same.err) == (0, "", "nothing differs but what is read from clocks\n")
 
 
 def test_diff_of_another_controller_names_it(orch, write, spiral, tmp_path):
@@ -285,7 +285,7 @@ def test_diff_of_another_controller_names_it(orch, write, spiral, tmp_path):
 
 def test_prune_says_what_would_go_and_deletes_when_told(orch, store):
     dry = orch("prune", "--status", "failed")
-    assert (dry.code, "1 record, " in dry.err, "would go" in dry.err) == (0, True, True)
+    assert (dry.code, "1 record, " in dry.err, "would be deleted" in dry.err) == (0, True, True)
     assert len(listed(orch)) == 4
     assert orch("prune", "--status", "failed", "--yes").code == 0
     assert [run["status"] for run in listed(orch)] == ["completed"] * 3
@@ -319,7 +319,7 @@ def test_prune_believes_the_file_and_not_what_was_listed_of_it(orch, store, tmp_
     replace(failed, good.read_bytes(), failed.stat())
     answer = orch("prune", "--status", "failed", "--yes")
     assert (answer.code, failed.exists()) == (2, True)
-    assert f"{failed.relative_to(tmp_path)} stays: it has changed since it was listed, and is completed" in answer.err
+    assert f"{failed.relative_to(tmp_path)} is kept: it has changed since it was listed, and is completed" in answer.err
     assert "0 records, 0.0 MB: deleted" in answer.err
 
 
@@ -328,7 +328,7 @@ def test_prune_leaves_a_record_that_a_process_has_begun_to_write(orch, store, tm
     with h5py.File(failed, "r+"):
         answer = orch("prune", "--status", "failed", "--yes")
     assert (answer.code, failed.exists()) == (2, True)
-    assert "stays: a process writes it" in answer.err
+    assert "is kept: a process writes it" in answer.err
 
 
 def test_prune_leaves_what_has_replaced_a_record_since_it_was_listed(orch, store, tmp_path, monkeypatch):
@@ -437,7 +437,7 @@ def test_the_exit_code_of_diff_is_that_of_the_digests(orch, store, tmp_path):
         file.attrs["digest"] = "0" * 64
     answer = orch("diff", path, other)
     assert (answer.code, answer.out) == (1, "")
-    assert answer.err == "their digests differ, and with them something that decides the numbers\n"
+    assert answer.err == "the digests differ: something that decides the numbers is not the same, and is not listed\n"
     with h5py.File(other, "r+") as file:  # the same FMU by another name
         resolved = json.loads(file.attrs["experiment_resolved"])
         resolved["components"][0]["fmu"] = "copy.fmu"

@@ -175,7 +175,7 @@ def test_of_several_runs_every_signal_has_its_panel(spiral_run, gripping_run, tm
 def test_an_unknown_signal_names_the_nearest_one(orch, spiral_run):
     answer = orch("plot", spiral_run.path, "-o", "f.png", "--signals", "vehicle.etta.*")
     assert answer.code == 2
-    assert "no recorded signal fits 'vehicle.etta.*'; did you mean 'vehicle.eta" in answer.err
+    assert "no recorded signal matches 'vehicle.etta.*'; did you mean 'vehicle.eta" in answer.err
 
 
 def test_an_unknown_format_names_the_three(orch, spiral_run, tmp_path):
@@ -193,7 +193,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(spiral_run, tmp_path):
 
 
 def test_a_record_without_rows_is_a_sentence(changed, spiral_run, tmp_path):
-    with pytest.raises(StoreError, match="holds no row yet"):
+    with pytest.raises(StoreError, match="holds no rows yet"):
         draw([changed(spiral_run, lambda file: file["time"].resize((0,)))], tmp_path / "f.png")
 
 

@@ -17,7 +17,7 @@ from orchestrator.errors import OrchError
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.diagram import diagram
 from orchestrator.views.report import page as report
-from orchestrator.views.report.arrays import thin
+from orchestrator.views.report.packing import thin
 from orchestrator.views.report.scene import gripped
 
 pytest.importorskip("plotly")

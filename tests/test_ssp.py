@@ -153,7 +153,7 @@ def test_the_same_experiment_gives_the_same_bytes(orch, write, spiral, tmp_path)
     ("arguments", "words"),
     [
         (["mine.toml", "--format", "csv"], "--format csv is for runs: an experiment becomes an SSP"),
-        (["mine.toml"], "say which format"),
+        (["mine.toml"], "give a format"),
         (["last", "--format", "ssp"], "last is a run, SSP is for experiments"),
         (["last", "--format", "csv", "--set", "a=1"], "are for experiments, and last is a run"),
         (["mine.toml", "--format", "ssp", "-o", "mine.toml"], "mine.toml is already used by this command"),
@@ -449,7 +449,7 @@ def test_what_an_ssp_does_not_say_can_be_said(orch, theirs):
     assert orch("check", path, "--set", "master.step=0.1", "--set", "master.stop_time=1").code == 0
     answer = orch("import", path, "-o", "new.toml")
     assert answer.code == 0
-    assert "does not say master.step: add it to new.toml" in answer.err
+    assert "does not state master.step: add it to new.toml" in answer.err
     assert orch("import", path, "-o", "new.toml").code == 2  # it is there
 
 

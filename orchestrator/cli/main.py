@@ -44,7 +44,7 @@ def main() -> None:
     """Entry point; ends the process."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a terminal may lack the letters of a model's own words
+            stream.reconfigure(errors="backslashreplace")  # a terminal may lack letters of a model's messages
     code = execute()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
@@ -88,9 +88,9 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module, command = COMMANDS[name].split(":")
-        found: click.Command = getattr(importlib.import_module(f".commands.{module}", __package__), command)
-        return found
+        module, attribute = COMMANDS[name].split(":")
+        command: click.Command = getattr(importlib.import_module(f".commands.{module}", __package__), attribute)
+        return command
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The examples as they are written, without wrapping."""
@@ -128,7 +128,3 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         if message := out_of_date():
             click.echo(message, err=True)
         ctx.exit()
-
-
-if __name__ == "__main__":
-    main()

@@ -23,7 +23,7 @@ class Ties:
 
 
 @dataclass
-class Live:
+class Outside:
     """endpoints: of MAVLink; key: a file; realtime: simulated seconds in a second."""
 
     endpoints: Sequence[str] = ()

@@ -1,1 +1,1 @@
-"""Records for eyes and for other tools: figures, tables, pages, exports."""
+"""Records for readers and for other tools: figures, tables, HTML pages, exports."""

@@ -1,4 +1,4 @@
-"""HTML pages from templates: whatever is not markup already is escaped."""
+"""HTML pages from templates; text is escaped, unless it is marked as markup."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def render(template: str, **values: Any) -> str:
 
 
 def _source(name: str) -> Markup:
-    """The text of a style sheet or script, as it is."""
+    """A style sheet or script, unescaped."""
     return Markup(resources.files(PACKAGE).joinpath(name).read_text(encoding="utf-8"))

@@ -10,14 +10,18 @@ from typing import Any
 import click
 
 from ... import files
-from .options import json_option, results_option, tell
+from .options import json_option, results_option, to_stderr
 
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1)
-@click.option("--sweep", "sweep", metavar="SWEEP", help="Instead: the values of a list of this sweep; an id, or last.")
-@click.option("--by", metavar="KEY", default="", help="The list of the sweep whose values compete; default: its first.")
-@click.option("--pairs/--no-pairs", default=True, help="With or without the comparisons of every two, of a sweep.")
+@click.option(
+    "--sweep", "sweep", metavar="SWEEP", help="Instead of runs, compare the contenders of this sweep: its id, or last."
+)
+@click.option(
+    "--by", metavar="KEY", default="", help="Of a sweep: the key whose values compete; default: its first list."
+)
+@click.option("--pairs/--no-pairs", default=True, help="Of a sweep: with or without comparisons of pairs.")
 @click.option("--metrics", "globs", metavar="GLOB", multiple=True, help="These metrics only, such as 'rmse_*'.")
 @click.option(
     "--format",
@@ -33,9 +37,9 @@ from .options import json_option, results_option, tell
     type=click.Choice(["box", "violin", "ecdf", "heatmap", "parallel"]),
     default="box",
     show_default=True,
-    help="Of the plot of a sweep.",
+    help="Of a sweep: what --plot draws.",
 )
-@click.option("--over", metavar="KEY", multiple=True, help="The two factors of a sweep that a heat map is over.")
+@click.option("--over", metavar="KEY", multiple=True, help="Of a sweep: the two factors of a heat map.")
 @results_option
 @json_option
 def compare(
@@ -53,7 +57,7 @@ def compare(
     results: str,
     as_json: bool,
 ) -> None:
-    """Compare metrics of runs, and say what tells the runs apart.
+    """Compare the metrics of runs, and show how the runs differ.
 
     RUN: an id, a prefix of one, a file, "last", or a glob over files or run ids, in quotes.
 
@@ -71,7 +75,7 @@ def compare(
     Where there are more metrics than runs, the runs stand beside each other; CSV always has one line a run, in full
     precision.  LaTeX is for booktabs and siunitx.
 
-    Of a sweep: mean, standard deviation, median and 95 % bootstrap interval of each contender; every two of them draw
+    Of a sweep: mean, standard deviation, median and 95 % bootstrap interval of each contender; each pair of them, draw
     by draw, by Wilcoxon's signed-rank test, Holm-corrected, with the rank-biserial correlation as effect size.
     """
     if sweep is not None:
@@ -80,13 +84,13 @@ def compare(
         _compare_sweep(sweep, by, pairs, globs, form, output, figure, kind, over, results, as_json)
         return
     if not runs:
-        raise click.UsageError("say which runs, or which --sweep")
+        raise click.UsageError("name the runs, or a --sweep")
     from ...records.compare import side_by_side as comparing
     from ...records.store.folder import Store
     from ...views.tables import comparison as compare_tables
 
     if signals and not figure:
-        raise click.UsageError("--signals says what to draw: give --plot FILE, too")
+        raise click.UsageError("--signals chooses what --plot draws: add --plot FILE")
     paths = comparing.find(Store(results), runs)
     table, picture = _targets(output, figure, paths)
     comparison = comparing.compare(paths, globs)
@@ -117,13 +121,13 @@ def _compare_sweep(
     read = sweeps.find(results, sweep)
     used = [read.storage.local / name for name in (sweeps.TABLE, sweeps.DESCRIPTION)] if read.storage.local else []
     table, picture = _targets(output, figure, used)
-    found = analysis.analyse(read, globs, by)
-    text = tables.FORMATS[_form(form, table)](found, pairs)
+    analysed = analysis.analyse(read, globs, by)
+    text = tables.FORMATS[_form(form, table)](analysed, pairs)
     if picture:
         from ...studies.sweep.results import figures
 
-        figures.draw(found, picture, kind, over)
-    _answer(text, analysis.as_json(found), table, picture, as_json)
+        figures.draw(analysed, picture, kind, over)
+    _answer(text, analysis.as_json(analysed), table, picture, as_json)
 
 
 def _targets(output: str | None, figure: str | None, used: Sequence[Path]) -> tuple[Path | None, Path | None]:
@@ -141,8 +145,7 @@ def _form(form: str | None, table: Path | None) -> str:
 
 
 def _answer(text: str, data: dict[str, Any], table: Path | None, picture: Path | None, as_json: bool) -> None:
-    """Write or print the text, or print the data."""
-
+    """Write or print the text; with --json, print the data."""
     if table:
         files.write_text(table, f"{text}\n")
     if as_json:
@@ -157,24 +160,24 @@ def _answer(text: str, data: dict[str, Any], table: Path | None, picture: Path |
 @results_option
 @json_option
 def diff(a: str, b: str, results: str, as_json: bool) -> int:
-    """What differs between two records: parameters, FMUs, versions, metrics; nothing that is the same.
+    """Show what differs between two records: parameters, FMUs, versions, metrics.
 
-    Exit code 0 where nothing differs that decides the numbers, that is, the digests are the same; else 1.
+    Exit code 0 where the digests are the same, that is, nothing differs that decides the numbers; else 1.
     """
-    from ...records.compare import diff as changes
+    from ...records.compare import diff as comparing
     from ...records.store.folder import open_run
     from ...views.tables.terminal import table
 
     with open_run(a, results) as first, open_run(b, results) as second:
-        found = changes.changes(first, second)
+        changes = comparing.changes(first, second)
         names = first.run_id, second.run_id
         same = first.attributes["digest"] == second.attributes["digest"]
     if as_json:
-        click.echo(json.dumps([change.__dict__ for change in found]))
-    elif found:
-        click.echo("\n".join(table([("", *names, "by"), *changes.rows(found)])))
+        click.echo(json.dumps([change.__dict__ for change in changes]))
+    elif changes:
+        click.echo("\n".join(table([("", *names, "by"), *comparing.rows(changes)])))
     elif same:
-        tell("nothing differs but clocks")
-    if not same and not any(change.decides for change in found):
-        tell("their digests differ, and with them something that decides the numbers")
+        to_stderr("nothing differs but what is read from clocks")
+    if not same and not any(change.decides for change in changes):
+        to_stderr("the digests differ: something that decides the numbers is not the same, and is not listed")
     return 0 if same else 1

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from ... import files
-from .options import changes_options, packaging_option, prepared, results_option, tell
+from .options import changes_options, packaging_option, prepared, results_option, to_stderr
 
-EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is asked for
+EXPERIMENTS = (".toml", ".ssp")  # suffixes by which an experiment is told from a run
 
 
 @click.command()
@@ -20,7 +20,7 @@ EXPERIMENTS = (".toml", ".ssp")  # what names an experiment, where a run is aske
     type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
     help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).",
 )
-@click.option("--output", "-o", metavar="FILE", help="Default: beside the record; of an experiment NAME.ssp, here.")
+@click.option("--output", "-o", metavar="FILE", help="Default: beside the record; an experiment's is NAME.ssp, here.")
 @changes_options
 @packaging_option
 @results_option
@@ -33,7 +33,7 @@ def export(
     packaging: str,
     results: str,
 ) -> None:
-    """Write a run for another tool, with names and units; or an experiment, with its FMUs, as one SSP archive.
+    """Write a run for another tool, with names and units; or an experiment with its FMUs as one SSP archive.
 
     RUN: an id, a prefix of one, a file, or "last".
 
@@ -52,7 +52,7 @@ def export(
     them: x east, y north, z up, and of a vehicle x forward, y left, z up.
 
     All but csv need libraries: pip install "orch[export]", for tlog "orch[mavlink]".  Of a run that did not complete,
-    its rows are written.
+    the rows that it has are written.
     """
     from ...records.store.folder import open_run
     from ...views import export as exporting
@@ -67,13 +67,13 @@ def export(
     if sets or swaps or packaging != "auto":
         raise click.UsageError(f"--set, --swap and --packaging are for experiments, and {run} is a run")
     if form is None:
-        raise click.UsageError("say which format: --format csv, parquet, mat, netcdf, mcap or tlog")
+        raise click.UsageError("give a format: --format csv, parquet, mat, netcdf, mcap or tlog")
     with open_run(run, results) as record:
         target = files.target(output or record.path.with_suffix(exporting.FORMATS[form].suffix), used=[record.path])
         exporting.export(record, form, target)
         if record.status != "completed":
             rows, time = len(record.time), record.time[-1]
-            tell(f"{record.run_id}: {record.status}; these are its {rows} rows until t = {time:.10g} s")
+            to_stderr(f"{record.run_id}: {record.status}; these are its {rows} rows until t = {time:.10g} s")
     click.echo(files.short(target))
 
 
@@ -83,25 +83,25 @@ def _export_experiment(
     from ...ssp import writing
 
     if form != "ssp":
-        what = f"--format {form} is for runs" if form else "say which format"
+        what = f"--format {form} is for runs" if form else "give a format"
         raise click.UsageError(f"{what}: an experiment becomes an SSP, --format ssp, and a run is named by its id")
     target = files.target(output or f"{Path(path).stem}.ssp", used=[path])
-    plan = prepared(path, sets, swaps, tell, packaging)
+    plan = prepared(path, sets, swaps, to_stderr, packaging)
     for note in [*plan.notes, *writing.limits(plan)]:
-        tell(f"note: {note}")
+        to_stderr(f"note: {note}")
     click.echo(files.short(writing.export(plan, target)))
 
 
 @click.command("import")
 @click.argument("system", metavar="SYSTEM.ssp")
-@click.option("--output", "-o", metavar="FILE.toml", help="Default: the archive's name, here.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--output", "-o", metavar="FILE.toml", help="Default: named as the archive, in this folder.")
+@click.option("--force", is_flag=True, help="Write over an existing file.")
 def import_(system: str, output: str | None, force: bool) -> None:
-    """Make an experiment file of an SSP 1.0 archive; its FMUs go into a folder beside it.
+    """Make an experiment file from an SSP 1.0 archive; its FMUs are put into a folder beside it.
 
     \b
     orch import system.ssp -o system.toml
-    orch run system.ssp --set master.step=1e-3      # without: as it is, or with what it does not say
+    orch run system.ssp --set master.step=1e-3      # as it is, or with what it does not state
 
     Nested systems are flattened.  Of an SSP that orch exported, the experiment is the same: run id, record, metrics.
     """
@@ -110,11 +110,11 @@ def import_(system: str, output: str | None, force: bool) -> None:
 
     target = files.target(output or f"{Path(system).stem}.toml", "an experiment", (".toml",), [system])
     if target.exists() and not force:
-        raise StoreError(f"{target} is there; give -o another name, or --force to write over it")
+        raise StoreError(f"{target} exists; give -o another name, or --force to write over it")
     imported = importing.convert(Path(system), target)
     for note in imported.notes:
-        tell(f"note: {note}")
+        to_stderr(f"note: {note}")
     for key in ("stop_time", "step"):
         if key not in imported.table["master"]:
-            tell(f"note: the SSP does not say master.{key}: add it to {target}, in s")
+            to_stderr(f"note: the SSP does not state master.{key}: add it to {target}, in s")
     click.echo(files.short(target))

@@ -1,4 +1,4 @@
-"""Commands around models and their FMUs."""
+"""Commands about models, their FMUs, and what this machine needs for both."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import click
 
 from ... import files
 from ...errors import FmuError
-from .options import json_option, tell
+from .options import json_option, to_stderr
 
 
 @click.command()
 @click.argument("names", metavar="[NAME|FILE.py]...", nargs=-1)
-@click.option("--native", "packaging", flag_value="native", help="Compiled C, nothing else.")
-@click.option("--python", "packaging", flag_value="python", help="Python FMUs.")
+@click.option("--native", "packaging", flag_value="native", help="Native FMUs (compiled C) only.")
+@click.option("--python", "packaging", flag_value="python", help="Python FMUs only.")
 @click.option(
     "--target",
     "targets",
@@ -23,11 +23,11 @@ from .options import json_option, tell
     multiple=True,
     help="Cross-build: x86_64-windows, aarch64-linux, ...; several make one FMU for all.",
 )
-@click.option("--force", is_flag=True, help="Build also what is up to date.")
+@click.option("--force", is_flag=True, help="Also build what is up to date.")
 def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...], force: bool) -> None:
     """Build FMUs: all that come with orch, the named ones, or a model of your own.
 
-    Native where there is a C compiler, unless told otherwise.
+    Native where a C compiler exists, unless --python asks for Python FMUs.
 
     \b
     orch build
@@ -38,12 +38,14 @@ def build(names: tuple[str, ...], packaging: str | None, targets: tuple[str, ...
     from ...models import catalogue
 
     if targets and packaging == "python":
-        raise click.UsageError("--target makes native FMUs; Python FMUs run on 64-bit x86 Linux and Windows anyway")
+        raise click.UsageError(
+            "--target is for native FMUs; Python FMUs run on 64-bit x86 Linux and Windows as they are"
+        )
     wanted = names or catalogue.shipped()
     if targets:
-        built = builder.cross_build(wanted, targets, tell)
+        built = builder.cross_build(wanted, targets, to_stderr)
     else:
-        built = builder.build(wanted, tell, force, packaging or "auto")
+        built = builder.build(wanted, to_stderr, force, packaging or "auto")
     for path in built.values():
         click.echo(files.short(path))
 
@@ -68,13 +70,13 @@ def fmus(name: str | None, as_json: bool) -> None:
     except builder.BuildError as error:
         click.echo(str(error), err=True)
         built = error.built
-    found = []
+    readable = []
     for path in built.values():
         try:
-            found.append(read(path))
+            readable.append(read(path))
         except FmuError as error:
             click.echo(str(error), err=True)
-    click.echo(json.dumps([show.fmu_as_json(f) for f in found]) if as_json else show.fmus(found))
+    click.echo(json.dumps([show.fmu_as_json(f) for f in readable]) if as_json else show.fmus(readable))
 
 
 @click.command()
@@ -105,7 +107,7 @@ def schema() -> None:
 @click.command()
 @json_option
 def doctor(as_json: bool) -> None:
-    """Say what this machine has, and what is missing for what."""
+    """Show what this machine has, and what is missing for what."""
     from ..text import doctor as examiner
 
     findings = examiner.examine()

@@ -1,4 +1,4 @@
-"""What several commands share: their options, and the way from those to a plan."""
+"""What several commands share: their options, and how these become a plan."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 
 if TYPE_CHECKING:
     from ...plan.plan import Plan
+    from ...runs.outside import Outside
 
 INTERRUPTED = 130  # exit code
 
@@ -28,7 +29,7 @@ def packaging_option(command: Callable[..., Any]) -> Callable[..., Any]:
         "--packaging",
         type=choice,
         default="auto",
-        help="Of models; auto is native where there is a C compiler.",
+        help="How models are packaged; auto: native where a C compiler exists.",
     )(command)
 
 
@@ -40,7 +41,7 @@ def changes_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--mavlink, --mavlink-key and --realtime: what ties a run to the world outside."""
+    """--mavlink, --mavlink-key and --realtime: what connects a run to the world outside."""
     options = [
         click.option(
             "--mavlink",
@@ -50,13 +51,15 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="Show the vehicles to ground stations: udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT or "
             "serial:DEVICE:BAUD; 1=... shows only the vehicle with system id 1.  Repeatable.",
         ),
-        click.option("--mavlink-key", "key", metavar="FILE", help="Sign, and accept only what is signed."),
+        click.option(
+            "--mavlink-key", "key", metavar="FILE", help="Sign messages with this key, and accept signed ones only."
+        ),
         click.option(
             "--realtime",
             metavar="[FACTOR]",
             is_flag=False,
             flag_value="1",
-            help="Keep the pace of the clock, or FACTOR times that.",
+            help="Keep pace with the clock, or run at FACTOR times that pace.",
         ),
     ]
     for option in reversed(options):
@@ -66,9 +69,9 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def live_of(
     experiment: str | None, endpoints: tuple[str, ...], key: str | None, realtime: str | None
-) -> tuple[str, Any]:
-    """The experiment, and the options above as a `live.Live`."""
-    from ...runs.outside import Live
+) -> tuple[str, Outside]:
+    """The experiment, and the options above."""
+    from ...runs.outside import Outside
 
     factor = None
     if realtime is not None:
@@ -84,8 +87,8 @@ def live_of(
     if experiment is None:
         raise click.UsageError("Missing argument 'EXPERIMENT.toml'.")
     if key is not None and not endpoints:
-        raise click.UsageError("--mavlink-key is for --mavlink; there is none")
-    return experiment, Live(endpoints, key, factor)
+        raise click.UsageError("--mavlink-key signs what --mavlink sends, and --mavlink is not given")
+    return experiment, Outside(endpoints, key, factor)
 
 
 def prepared(
@@ -104,6 +107,7 @@ def prepared(
 
 
 def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
+    """{key: value} of KEY=VALUE.  option: its name, for messages."""
     from ...experiment.keys import parse_value
 
     pairs = {}
@@ -116,6 +120,7 @@ def pairs(option: str, texts: tuple[str, ...]) -> dict[str, Any]:
 
 
 def swaps_of(texts: tuple[str, ...]) -> Mapping[str, str]:
+    """{component: FMU} of COMPONENT=FMU."""
     swaps = {}
     for text in texts:
         component, equals, fmu = text.partition("=")
@@ -126,7 +131,7 @@ def swaps_of(texts: tuple[str, ...]) -> Mapping[str, str]:
     return swaps
 
 
-def tell(text: str) -> None:
+def to_stderr(text: str) -> None:
     click.echo(text, err=True)
 
 

@@ -1,4 +1,4 @@
-"""Commands that show runs to the eye: figures and pages."""
+"""Commands that draw runs: figures and HTML pages."""
 
 from __future__ import annotations
 
@@ -33,24 +33,23 @@ def plot(runs: tuple[str, ...], output: str | None, signals: tuple[str, ...], fo
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1)
-@click.option("--sweep", metavar="SWEEP", help="A sweep instead, by its id or as last: statistics and figures.")
+@click.option("--sweep", metavar="SWEEP", help="Instead of runs: a sweep, its statistics and figures; its id, or last.")
 @click.option("--output", "-o", metavar="FILE", help="The HTML file; default: beside the record, as .html")
 @results_option
 def report(runs: tuple[str, ...], sweep: str | None, output: str | None, results: str) -> None:
     """Write runs as one HTML page: replay, plots, metrics.  RUN: an id, a prefix of one, a file, or "last"."""
-
     if sweep is not None:
         if runs:
-            raise click.UsageError("--sweep reports a sweep: give no RUN beside it")
+            raise click.UsageError("give either RUN or --sweep, not both")
         from ...studies.sweep.engine import table
         from ...studies.sweep.results import analysis, page
 
-        found = table.find(results, sweep)
-        target = files.target(output or (found.storage.local or Path()) / "report.html", *PAGE)
-        click.echo(files.short(page.write(analysis.analyse(found), target)))
+        read = table.find(results, sweep)
+        target = files.target(output or (read.storage.local or Path()) / "report.html", *PAGE)
+        click.echo(files.short(page.write(analysis.analyse(read), target)))
         return
     if not runs:
-        raise click.UsageError("say which runs, or which --sweep")
+        raise click.UsageError("name the runs, or a --sweep")
     from ...records.store.folder import Store, open_run
     from ...views.report.page import write
 

@@ -1,4 +1,4 @@
-"""Commands that run experiments, run records again, or only check whether they would run."""
+"""Commands that run an experiment, repeat a record, or check whether an experiment would run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .options import (
     prepared,
     results_option,
     silent,
-    tell,
+    to_stderr,
 )
 
 
@@ -40,17 +40,22 @@ Examples:
 @packaging_option
 @click.option("--output", "-o", metavar="FILE.h5", help="Write exactly this file, not one in the store.")
 @results_option
-@click.option("--force", is_flag=True, help="Run again although the record is there.")
+@click.option("--force", is_flag=True, help="Run again although the store has the completed record.")
 @click.option(
     "--checkpoint-at",
     "times",
     metavar="T",
     type=float,
     multiple=True,
-    help="Save the run at T seconds, beside its record.  Repeatable.",
+    help="Save a checkpoint at T seconds, beside the record.  Repeatable.",
 )
-@click.option("--from", "start", metavar="CHECKPOINT", help="Go on from there; what --swap names is reinitialized.")
-@click.option("--tlog", metavar="FILE", help="Write the run as a telemetry log, too.")
+@click.option(
+    "--from",
+    "start",
+    metavar="CHECKPOINT",
+    help="Continue from a checkpoint; components that --swap names are reinitialized.",
+)
+@click.option("--tlog", metavar="FILE", help="Also write the run as a telemetry log.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @live_options
 @json_option
@@ -77,7 +82,7 @@ def run(
     from ...views import export as exporting
     from ..text import show
 
-    report = silent if quiet or as_json else tell
+    report = silent if quiet or as_json else to_stderr
     experiment, asked = live_of("" if experiment is None and start else experiment, **live)
     used = [file for file in (experiment, start) if file]
     try:
@@ -126,13 +131,13 @@ def run(
 @click.command()
 @click.argument("run", metavar="RUN")
 @click.option("--verify", is_flag=True, help="Compare with the record, bit for bit, and keep nothing.")
-@click.option("--force", is_flag=True, help="Run although the completed record is in the store.")
+@click.option("--force", is_flag=True, help="Run again although the store has the completed record.")
 @results_option
 def rerun(run: str, verify: bool, force: bool, results: str) -> int:
-    """Run again what a record holds: from the record alone, its models built anew where they have changed.
+    """Repeat the run of a record, from the record alone; models that have changed are built again.
 
-    With --verify, exit code 0 where every bit of every signal is the same, 1 where one is not: then it says which
-    signal differs first, when, and by how much.  RUN: an id, a prefix of one, a file, or "last".
+    With --verify, exit code 0 where every bit of every signal is the same, else 1: then it says which signal differs
+    first, when, and by how much.  RUN: an id, a prefix of one, a file, or "last".
     """
     from ...records.store.folder import open_run
     from ...runs import rerun as again
@@ -140,7 +145,7 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
     from ..text import show
 
     with open_run(run, results) as record:
-        plan = again.plan_of(record, tell)
+        plan = again.plan_of(record, to_stderr)
         if not verify:
             result = runner.execute(plan, results=results, force=force, context=again.replay_of(record, plan))
             click.echo(show.result(result, plan))
@@ -157,15 +162,17 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
 @click.argument("experiment", metavar="EXPERIMENT.toml")
 @changes_options
 @packaging_option
-@click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid as .mmd or .md.")
-@click.option("--load", is_flag=True, help="Run the FMUs' code: initialize each one, in a process of its own.")
+@click.option("--diagram", metavar="FILE", help="Also draw the system: .svg, or Mermaid in .mmd or .md.")
+@click.option(
+    "--load", is_flag=True, help="Also load and initialize each FMU, in a process of its own: this runs its code."
+)
 @click.option(
     "--timeout",
     metavar="S",
     type=click.FloatRange(min=0, min_open=True),
     default=60.0,
     show_default=True,
-    help="Of --load, for each FMU.",
+    help="Of --load: seconds for each FMU.",
 )
 @json_option
 def check(
@@ -178,9 +185,9 @@ def check(
     timeout: float,
     as_json: bool,
 ) -> None:
-    """Find all problems of an experiment and its FMUs, and show the system; run nothing.
+    """Find all problems of an experiment and its FMUs, and show the system; nothing is run.
 
-    No FMU is loaded unless --load asks for it.
+    No FMU is loaded, unless --load is given.
 
     \b
     orch check experiments/gripping_currents.toml --diagram system.svg
@@ -190,7 +197,7 @@ def check(
     from ...views.figures.diagram import FORMS, draw
     from ..text import show
 
-    report = silent if as_json else tell
+    report = silent if as_json else to_stderr
     target = files.target(diagram, "a diagram", tuple(FORMS), [experiment]) if diagram is not None else None
     try:
         plan = prepared(experiment, sets, swaps, report, packaging)

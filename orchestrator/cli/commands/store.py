@@ -11,18 +11,18 @@ import click
 
 from ... import files
 from ...errors import OrchError
-from .options import json_option, results_option, tell
+from .options import json_option, results_option, to_stderr
 
 
 def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """--experiment, --status, --since, --before and --where."""
     for option, metavar, text in reversed(
         (
-            ("--experiment", "GLOB", "Of these experiments."),
-            ("--status", "GLOB", "completed, failed, interrupted*, running or corrupt."),
+            ("--experiment", "GLOB", "Runs of these experiments."),
+            ("--status", "GLOB", "Runs that are completed, failed, interrupted*, running or corrupt."),
             ("--since", "TIME", "Created since a date, or an age: 2h, 3d, 1w."),
-            ("--before", "TIME", "Created before it."),
-            ("--where", "EXPRESSION", "For which this is true."),
+            ("--before", "TIME", "Created before a date, or an age."),
+            ("--where", "EXPRESSION", "Runs for which this is true."),
         )
     ):
         command = click.option(option, metavar=metavar, default="", help=text)(command)
@@ -31,10 +31,10 @@ def filter_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("list")
 @filter_options
-@click.option("--sort", metavar="NAME", default="", help="By this name; default: newest first.")
-@click.option("--reverse", is_flag=True, help="The other way round.")
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most so many.")
-@click.option("--columns", metavar="NAME,...", default="", help="Show these, too: metrics.rmse_x1, wall_time, ...")
+@click.option("--sort", metavar="NAME", default="", help="Sort by this name; default: newest first.")
+@click.option("--reverse", is_flag=True, help="In reverse order.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="N runs at most.")
+@click.option("--columns", metavar="NAME,...", default="", help="Also show these: metrics.rmse_x1, wall_time, ...")
 @click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values, at full precision.")
 @results_option
 @json_option
@@ -67,21 +67,21 @@ def list_(
     from ...views.tables.terminal import table, tied
 
     filters = listing.Filters(experiment=experiment, status=status, since=since, before=before, where=where)
-    found = listing.choose(Path(results), filters)
-    found = listing.ordered(found, sort, reverse) if sort else found if reverse else found[::-1]
-    found = found[:limit]
+    runs = listing.choose(Path(results), filters)
+    runs = listing.ordered(runs, sort, reverse) if sort else runs if reverse else runs[::-1]
+    runs = runs[:limit]
     shown = [*listing.COLUMNS, *(name.strip() for name in columns.split(",") if name.strip())]
     if as_json:
-        click.echo(json.dumps([dict(run) for run in found]))
+        click.echo(json.dumps([dict(run) for run in runs]))
     elif as_csv:
-        click.echo(listing.as_csv(found, [*shown, "file"]), nl=False)
-    elif found:
-        rows = listing.table(found, shown)
+        click.echo(listing.as_csv(runs, [*shown, "file"]), nl=False)
+    elif runs:
+        rows = listing.table(runs, shown)
         whole = [i for i, name in enumerate(shown) if name not in ("title", "error", "command")]
         cells = [[tied(cell) if i in whole else cell for i, cell in enumerate(row)] for row in rows[1:]]
         click.echo("\n".join(table([rows[0], *cells])))
     else:
-        tell(
+        to_stderr(
             f"no run in {results}" + (" passes the filters" if any((experiment, status, since, before, where)) else "")
         )
 
@@ -101,10 +101,10 @@ def show(run: str, results: str, as_json: bool) -> None:
 
 @click.command()
 @filter_options
-@click.option("--yes", is_flag=True, help="Delete; without it, only say what would go.")
+@click.option("--yes", is_flag=True, help="Delete; without it, only list what would be deleted.")
 @results_option
 def prune(experiment: str, status: str, since: str, before: str, where: str, yes: bool, results: str) -> None:
-    """Delete the records that pass the filters; only says which, unless --yes is given.  Runs that go on stay.
+    """List the records that pass the filters, or with --yes delete them.  Those of running runs are kept.
 
     \b
     orch prune --status failed --before 4w
@@ -115,9 +115,9 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
 
     filters = listing.Filters(experiment=experiment, status=status, since=since, before=before, where=where)
     if not filters:
-        raise OrchError("prune deletes what passes its filters; give one, such as --status failed")
+        raise OrchError("give a filter, such as --status failed: prune deletes what passes its filters")
     passes = listing.passing(filters)
-    gone, kept = [], []
+    deleted, kept = [], []
     for run in listing.choose(Path(results), filters):
         if run["status"] == "running":
             continue
@@ -126,12 +126,14 @@ def prune(experiment: str, status: str, since: str, before: str, where: str, yes
             if yes:
                 delete(path, passes)
         except NotDeleted as error:
-            kept.append(f"{files.short(path)} stays: {error}")
+            kept.append(f"{files.short(path)} is kept: {error}")
         else:
-            gone.append(run)
+            deleted.append(run)
             click.echo(f"{files.short(path)}  {run['status']}")
-    size = sum(run["bytes"] for run in gone) / 1e6
-    what = "1 record" if len(gone) == 1 else f"{len(gone)} records"
-    tell(f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would go; --yes deletes them")
+    size = sum(run["bytes"] for run in deleted) / 1e6
+    what = "1 record" if len(deleted) == 1 else f"{len(deleted)} records"
+    to_stderr(
+        f"{what}, {size:.1f} MB: deleted" if yes else f"{what}, {size:.1f} MB, would be deleted; --yes deletes them"
+    )
     if kept:
         raise OrchError("\n".join(kept))

@@ -18,13 +18,15 @@ from .options import (
     results_option,
     silent,
     swaps_of,
-    tell,
+    to_stderr,
 )
 
 
 @click.command()
 @click.argument("experiment", metavar="EXPERIMENT.toml")
-@click.option("--steps", metavar="S,S,...", help="Communication steps [s]; default: 4, 2, 1 and 1/2 times its own.")
+@click.option(
+    "--steps", metavar="S,S,...", help="Communication steps [s]; default: 4, 2, 1, 1/2 times the experiment's."
+)
 @changes_options
 @click.option("--output", "-o", metavar="FILE", help="The figure; default: RESULTS/_converge/EXPERIMENT.png")
 @results_option
@@ -38,7 +40,7 @@ def converge(
     results: str,
     as_json: bool,
 ) -> int:
-    """Run an experiment at several steps: is the result converged?  Exit code 1 where it is not.
+    """Run an experiment at several steps: is its result converged?  Exit code 1 where it is not.
 
     \b
     orch converge experiments/spiral_pid.toml
@@ -53,7 +55,7 @@ def converge(
     except ValueError:
         raise click.UsageError(f"--steps {steps}: write numbers of seconds, such as --steps 1e-3,5e-4,2.5e-4") from None
     changes = pairs("--set", sets), swaps_of(swaps)
-    study = convergence.study(experiment, chosen, *changes, results, silent if as_json else tell)
+    study = convergence.study(experiment, chosen, *changes, results, silent if as_json else to_stderr)
     convergence.draw(study, target)
     text = f"{convergence.report(study)}\n{files.short(target)}"
     click.echo(json.dumps(convergence.as_json(study)) if as_json else text)
@@ -68,7 +70,7 @@ def converge(
     "--only",
     metavar="TABLE|FIGURE",
     multiple=True,
-    help="Do what this needs, such as 5.2 (the table), fig5.2, 5.57, claims, steps.",
+    help="Only this: 5.2 (a table), fig5.2, 5.57, claims, steps.  Repeatable.",
 )
 @click.option("--quick", is_flag=True, help="Coarser steps, and no step study.")
 @results_option
@@ -80,7 +82,7 @@ def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> in
     from ...studies.thesis import reproduce as thesis
     from ...studies.thesis.pages import summary
 
-    reproduction = thesis.reproduce(only, quick, results, tell)
+    reproduction = thesis.reproduce(only, quick, results, to_stderr)
     click.echo(summary.text(reproduction, files.short(reproduction.folder)))
     return 1 if reproduction.outside else 0
 
@@ -90,8 +92,10 @@ def reproduce(what: str, only: tuple[str, ...], quick: bool, results: str) -> in
 @changes_options
 @packaging_option
 @click.option("--dry-run", is_flag=True, help="Print the table of runs; run nothing.")
-@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes here; default: one a core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler: run on its cluster, not here.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N", help="Processes on this machine; default: one a core."
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the cluster of this Dask scheduler instead of here.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
 @results_option
 @json_option
@@ -121,7 +125,7 @@ def sweep(
     from ...studies.sweep.design.prepared import prepare
     from ..text import sweep as listing
 
-    report = silent if as_json else tell
+    report = silent if as_json else to_stderr
     prepared = prepare(experiment, pairs("--set", sets), swaps_of(swaps), packaging, report)
     for note in prepared.notes:
         report(f"note: {note}")
@@ -145,8 +149,10 @@ def sweep(
 @click.argument("experiment", metavar="EXPERIMENT.toml")
 @changes_options
 @packaging_option
-@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes here; default: one a core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler: run on its cluster, not here.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N", help="Processes on this machine; default: one a core."
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the cluster of this Dask scheduler instead of here.")
 @results_option
 @json_option
 def tune(
@@ -165,15 +171,15 @@ def tune(
     orch tune experiments/sweep_currents.toml
     orch tune experiments/sweep_currents.toml --set sweep.tune.trials=100
 
-    Every controller gets the same number of trials on the same draws.  The study lies in DIR/_tune and goes on where it
-    was interrupted, or with more trials; beside it the tuned parameters, as TOML for an experiment or a sweep.
+    Every controller gets the same number of trials on the same draws.  The study lies in DIR/_tune; it continues where
+    it was interrupted, or with more trials.  Beside it lie the tuned parameters, as TOML for an experiment or a sweep.
     """
     from ...runs.progress import ProgressLine
     from ...studies.progress import TrialProgress, show_runs
     from ...studies.sweep.tuning import optimizer as tuning
     from ..text import sweep as listing
 
-    report = silent if as_json else tell
+    report = silent if as_json else to_stderr
     with ProgressLine(as_json) as line:
         result = tuning.tune(
             experiment,
@@ -189,6 +195,6 @@ def tune(
         )
     click.echo(json.dumps(listing.tuned_as_json(result)) if as_json else listing.tuned(result))
     if result.final is None or result.final.interrupted:
-        report("interrupted; the same command goes on")
+        report("interrupted; the same command continues")
         return INTERRUPTED
     return 3 if result.final.count("failed") else 0

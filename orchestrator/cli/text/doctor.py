@@ -101,7 +101,7 @@ def _writable(folder: Path) -> bool:
 
 
 def report(findings: Sequence[Finding]) -> str:
-    """The findings as lines, and what they mean together."""
+    """The findings as a table, and a verdict."""
     mark = {"ok": "ok", "missing": "MISSING", "note": "-"}
     lines = table([(mark[f.state], f.what, f.detail) for f in findings], title=False)
     missing = [f.what for f in findings if f.state == "missing"]

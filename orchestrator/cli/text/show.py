@@ -89,7 +89,7 @@ def record(run: Run) -> str:
 
 
 def _origin(facts: Mapping[str, Any]) -> str:
-    """The checkpoint that a run went on from, or ""."""
+    """The checkpoint that a run was continued from, or ""."""
     if "from_run" not in facts:
         return ""
     fresh = facts["experiment_resolved"]["from"]["fresh"]
@@ -117,8 +117,8 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _share(component: float, whole: float) -> str:
-    return f"{component / whole:.1%}" if whole else "-"
+def _share(part: float, whole: float) -> str:
+    return f"{part / whole:.1%}" if whole else "-"
 
 
 def record_as_json(run: Run) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _metrics(
 
 
 def last_inputs(result: RunResult) -> str:
-    """What the component that failed was given last: the first few, the record has all."""
+    """The first few of the last inputs of the component that failed; the record has all."""
     shown = [
         f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}"
         for name, value in list(result.last_inputs.items())[:SHOWN_INPUTS]
@@ -164,7 +164,7 @@ def result_as_json(result: RunResult) -> dict[str, Any]:
 
 
 def not_started(error: OrchError) -> dict[str, Any]:
-    """The JSON of a run that did not begin, or whose record could not be kept."""
+    """The JSON of a run that was not started, or whose record could not be kept."""
     empty = dict.fromkeys(("run_id", "file", "wall_time", "real_time_factor"))
     status = "not started" if error.exit_code == 2 else "failed"
     return {**empty, "status": status, "metrics": {}, "warnings": [], "warning_kinds": [], "error": str(error)}
@@ -207,7 +207,7 @@ def _cycle(plan: Plan, cycle: Cycle) -> list[str]:
 
 
 def plan_as_json(plan: Plan) -> dict[str, Any]:
-    found = [
+    shown = [
         {
             "path": [".".join(port) for port in cycle.path],
             "delayed": [[f"{k.sink}.{k.input.name}", f"{k.source}.{k.output.name}"] for k in cycle.delayed],
@@ -218,16 +218,16 @@ def plan_as_json(plan: Plan) -> dict[str, Any]:
         "experiment": str(plan.experiment.path),
         "problems": [],
         "digest": plan.digest,
-        "cycles": found,
+        "cycles": shown,
         "notes": [*plan.notes, *plan.cautions],
         **plan.resolved,
     }
 
 
-def fmus(found: Sequence[Fmu]) -> str:
+def fmus(listed: Sequence[Fmu]) -> str:
     """The list of FMUs."""
     rows = [("fmu", "packaging", "what it is")]
-    rows += [(f.model_name, f.packaging, f.description) for f in found]
+    rows += [(f.model_name, f.packaging, f.description) for f in listed]
     return "\n".join(table(rows))
 
 
@@ -251,9 +251,9 @@ def fmu(fmu: Fmu) -> str:
 
 
 def _variable(fmu: Fmu, name: str) -> tuple[str, ...]:
-    found = fmu.lookup(name)
-    axes = list(found)
-    variables = list(found.values())
+    scalars = fmu.lookup(name)
+    axes = list(scalars)
+    variables = list(scalars.values())
     units = list(dict.fromkeys(v.unit for v in variables if v.unit))
     shown = name if axes == [""] else f"{name}[{axes[-1]}]" if axes[0][0].isdigit() else f"{name} ({' '.join(axes)})"
     starts = [_number(v.start) for v in variables if v.start is not None]

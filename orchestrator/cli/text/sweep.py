@@ -1,4 +1,4 @@
-"""What `orch sweep` prints: the design, and how it result."""
+"""What `orch sweep` and `orch tune` print: the design, and the results."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def design_as_json(prepared: PreparedSweep) -> dict[str, Any]:
 
 
 def swept(result: SweepResult) -> str:
-    """How a sweep result."""
+    """The result of a sweep."""
     facts, prepared = _facts(result), result.prepared
     lines = [f"{prepared.experiment.path.stem} sweep {prepared.sweep_id}: {facts['status']}"]
     counts = f"{facts['completed']} completed, {facts['failed']} failed, {facts['missing']} missing"

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; needs: what its module, as_<name>, imports beside orch's own dependencies; extra: which
-    brings them."""
+    """suffix: of its files.  needs: libraries that its module, as_<name>, imports beside orch's own dependencies.
+    extra: the extra of orch that installs them."""
 
     suffix: str
     needs: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ FORMATS = {
 
 
 def named_by(target: Path) -> str | None:
-    """The format that a file's name ends in; None where it says nothing."""
+    """The format of a file by its suffix; None for any other."""
     return next((name for name, form in FORMATS.items() if form.suffix == target.suffix.lower()), None)
 
 
@@ -57,12 +57,12 @@ def export(run: Run, form: str, target: Path) -> Path:
     """Write a run's rows in a format, a key of FORMATS.
 
     Raises OrchError where a library is missing, StoreError where there is no row, the format cannot hold the rows, or
-    the file cannot be written; then there is no file, or what it was before.
+    the file cannot be written; an existing file is left as it was.
     """
     require(form)
     files.target(target, used=[run.path])
     if not len(run.time):
-        raise StoreError(f"{run.path} holds no row: there is nothing to export")
+        raise StoreError(f"{run.path} holds no rows: there is nothing to export")
     from .content import read
 
     write: Callable[[Content, Path], None] = importlib.import_module(f".as_{form}", __name__).write

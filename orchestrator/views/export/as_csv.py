@@ -18,5 +18,5 @@ def write(content: Content, target: Path) -> None:
     frame = pd.DataFrame(columns)
     texts = [values for signal in content.signals if signal.kind == "string" for _, values in signal.columns()]
     is_ascii = all(map(str.isascii, columns)) and all(text.isascii() for values in texts for text in values)
-    # Without the mark, Excel takes UTF-8 for the letters of the country; pandas skips it.
+    # Without a byte order mark, Excel reads UTF-8 as the local code page; pandas skips the mark.
     frame.to_csv(target, index=False, lineterminator="\n", encoding="ascii" if is_ascii else "utf-8-sig")

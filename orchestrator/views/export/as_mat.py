@@ -1,6 +1,6 @@
-"""MATLAB's format 5: a struct a component, whose fields are its signals: `vehicle1.eta_x`.
+"""MATLAB's format 5: a struct for each component, whose fields are its signals: `vehicle1.eta_x`.
 
-A vector is a field, too: `vehicle1.eta` is (N, 6).  `units`, `names` and `axes` are structs of the same shape: units,
+A vector is also a field: `vehicle1.eta` is (N, 6).  `units`, `names` and `axes` are structs of the same shape: units,
 names in the record, and the axes that the columns of a vector are; `run` holds the facts.
 """
 
@@ -95,12 +95,12 @@ def _structs(signals: list[Signal]) -> tuple[Struct, Struct, Struct, Struct]:
 
 
 def _common(texts: list[str]) -> Any:
-    """The text that all are, else a cell array of them."""
+    """The text, where all are the same, else a cell array of them."""
     return texts[0] if len(set(texts)) == 1 else np.array(texts, object)
 
 
 def _valid(name: str, taken: set[str]) -> str:
-    """A name for MATLAB: letters, digits and underscores, a letter first, at most LONGEST."""
+    """A name that MATLAB accepts: letters, digits and underscores, a letter first, at most LONGEST characters."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).rstrip("_")
     if plain in KEYWORDS or not re.match("[A-Za-z]", plain):
         plain = f"x_{plain}".replace("__", "_")

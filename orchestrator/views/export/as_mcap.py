@@ -20,7 +20,7 @@ from . import foxglove
 from .content import Content, Signal, unique
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Reals, Table
 
 LONGEST_TRACK = 2000  # poses
 BATCH = 1024  # rows that are held as messages at a time
@@ -29,7 +29,7 @@ TYPES = {"real": "number", "integer": "integer", "boolean": "boolean", "string":
 
 @dataclass(frozen=True)
 class Channel:
-    """messages(rows): one for each of these rows."""
+    """messages(rows): a message for each of these rows."""
 
     topic: str
     schema: Mapping[str, Any]
@@ -57,7 +57,7 @@ def write(content: Content, target: Path) -> None:
 
 
 def _registered(writer: Any, channels: Sequence[Channel]) -> list[int]:
-    """Numbers of the channels in the file: a topic, and a schema, has one."""
+    """Ids of the channels in the file: one for each topic; a schema is written once."""
     schemas: dict[str, int] = {}
     topics: dict[str, int] = {}
     for channel in channels:
@@ -88,7 +88,7 @@ def _component(content: Content, component: str) -> Channel:
 
 
 def _paths(names: Sequence[str]) -> list[list[str]]:
-    """Keys below each other: eta and x of eta.x; the whole name as one key where eta is a signal, too."""
+    """Nested keys: eta and x of eta.x; the whole name as one key where eta itself is a signal."""
     prefixes = {name: {name[:i] for i, letter in enumerate(name) if letter == "."} for name in names}
     return [[name] if prefixes[name] & set(names) else name.split(".") for name in names]
 
@@ -118,8 +118,8 @@ def _schema(signal: Signal) -> dict[str, Any]:
     return {**schema, "description": description}
 
 
-def _listed(values: NDArray[Any]) -> list[Any]:
-    """As JSON can hold them: null for what is no number."""
+def _listed(values: Table) -> list[Any]:
+    """As JSON can hold them: null for nan and infinities."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         values = np.where(np.isfinite(values), values.astype(object), None)  # type: ignore[call-overload]
     listed: list[Any] = values.tolist()
@@ -144,7 +144,7 @@ def _frame_of(name: str) -> Callable[[int, Any], Any]:
 
 
 def _poses(
-    eta: Mapping[str, foxglove.Array], times: Sequence[int], message: Callable[[int, Any], Any]
+    eta: Mapping[str, Reals], times: Sequence[int], message: Callable[[int, Any], Any]
 ) -> Callable[[slice], list[Any]]:
     def messages(rows: slice) -> list[Any]:
         poses = foxglove.poses({axis: eta[axis][rows] for axis in AXES})
@@ -153,8 +153,8 @@ def _poses(
     return messages
 
 
-def _track(eta: Mapping[str, foxglove.Array], times: Sequence[int]) -> Callable[[slice], list[Any]]:
-    """The whole way, with the first row."""
+def _track(eta: Mapping[str, Reals], times: Sequence[int]) -> Callable[[slice], list[Any]]:
+    """The whole track, as one message with the first row."""
 
     def messages(rows: slice) -> list[Any]:
         if rows.start:

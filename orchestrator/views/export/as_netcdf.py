@@ -1,4 +1,4 @@
-"""NetCDF 4 for xarray and its kin: one flat data set over `time`, variables named as in the record.
+"""NetCDF 4 for xarray and similar tools: one flat data set over `time`, variables named as in the record.
 
 A slash, which netCDF keeps for groups, becomes an underscore; the attribute `name` holds the name in the record.
 """
@@ -28,6 +28,6 @@ def write(content: Content, target: Path) -> None:
         name: {"zlib": True, "shuffle": True, "complevel": 1} for name, v in variables.items() if v.dtype != object
     }
     for name in ("time", *(name for name, v in variables.items() if v.dtype.kind == "f")):
-        encoding.setdefault(name, {})["_FillValue"] = None  # there are no gaps
+        encoding.setdefault(name, {})["_FillValue"] = None  # no values are missing
     dataset = xr.Dataset(variables, coords={"time": time}, attrs=facts)
     dataset.to_netcdf(target, engine="h5netcdf", encoding=encoding)

@@ -1,4 +1,4 @@
-"""Parquet: a column a signal, `vehicle1.eta.x`, its unit in the metadata of the field, the facts in the schema's."""
+"""Parquet: a column for each signal, its unit in the metadata of its field, the facts in that of the schema."""
 
 from __future__ import annotations
 

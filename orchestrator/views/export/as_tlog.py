@@ -27,7 +27,7 @@ FORCE = ("x", "y", "z")
 
 
 def write(content: Content, target: Path) -> None:
-    """Raises StoreError where the record lacks what telemetry is made of."""
+    """Raises StoreError where the record lacks signals that telemetry needs."""
     run = content.run
     recorded = {vehicle.name: vehicle for vehicle in vehicles(run)}
     if not recorded:
@@ -94,7 +94,7 @@ def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None
 
 
 def _parameter(run: Run, component: str, name: str, default: float) -> float:
-    """As the experiment set it, else as the FMU says."""
+    """Its value: as the experiment sets it, else the start value of the FMU."""
     given = json.loads(run.fact(component, "parameters"))
     if name in given:
         return float(given[name])

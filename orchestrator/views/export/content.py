@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -15,9 +15,9 @@ from ...names import split_axis
 from ...records.file.run import Run
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Reals, Table
 
-# Attributes that go with the signals: those that are the same whenever, and wherever, the run is repeated.
+# Attributes that are exported: those that are the same whenever and wherever the run is repeated.
 FACTS = (
     "run_id",
     "digest",
@@ -59,9 +59,9 @@ class Signal:
         return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
 
     @property
-    def values(self) -> NDArray[Any]:
+    def values(self) -> Table:
         """(N,), or (N, *shape) of an array: numbers as recorded, bool, or object for texts."""
-        values: NDArray[Any] = self.run[self.name]
+        values: Table = self.run[self.name]
         return values.astype({"boolean": bool, "string": object}.get(self.kind, values.dtype))
 
     @property
@@ -69,8 +69,8 @@ class Signal:
         """Its attributes, named as in the record."""
         return {"units": self.unit, "long_name": self.long_name, "causality": self.causality}
 
-    def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Its (N,) columns with what stands behind its name: nothing, or [1], [2], ... of an array's elements."""
+    def columns(self) -> Iterator[tuple[str, Table]]:
+        """Its (N,) columns, each with the suffix of its name: none, or [1], [2], ... for the elements of an array."""
         values = self.values
         for index in np.ndindex(values.shape[1:]):
             place = ",".join(str(i + 1) for i in index)
@@ -82,14 +82,14 @@ class Content:
     """time: (N,) [s]."""
 
     run: Run
-    time: NDArray[np.float64]
+    time: Reals
     signals: list[Signal]
 
     @cached_property
     def facts(self) -> dict[str, str | float | int]:
         """FACTS that the record has, JSON as text."""
-        found = self.run.attributes | {"status": self.run.status}
-        facts = {name: found[name] for name in FACTS if found.get(name) not in (None, "")}
+        attributes = self.run.attributes | {"status": self.run.status}
+        facts = {name: attributes[name] for name in FACTS if attributes.get(name) not in (None, "")}
         return {k: json.dumps(v, ensure_ascii=False) if isinstance(v, dict | list) else v for k, v in facts.items()}
 
     def of(self, component: str) -> list[Signal]:
@@ -120,16 +120,16 @@ def _signal(run: Run, name: str) -> Signal:
 
 def vectors(signals: Sequence[Signal]) -> dict[str, list[Signal]]:
     """{"eta": the signals of its axes} of scalar signals of one component that are numbers and share a vector."""
-    found: dict[str, list[Signal]] = {}
+    groups: dict[str, list[Signal]] = {}
     for signal in signals:
         head, axis = split_axis(signal.variable)
         if axis and signal.kind == "real":
-            found.setdefault(head, []).append(signal)
-    return {head: axes for head, axes in found.items() if len(axes) > 1}
+            groups.setdefault(head, []).append(signal)
+    return {head: axes for head, axes in groups.items() if len(axes) > 1}
 
 
 def unique(name: str, taken: set[str], longest: int = 1 << 16) -> str:
-    """The name, cut and numbered so that it differs from those taken; it is taken then."""
+    """The name, cut and numbered so that it differs from those in `taken`, to which it is added."""
     chosen, k = name[:longest], 1
     while chosen in taken:
         k += 1

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Reals
 
-    Array = NDArray[np.float64]
 
 WORLD = "world"  # the frame of the record's NED origin, turned to ENU
 NANOSECONDS = 1_000_000_000
@@ -45,7 +44,7 @@ FRAME = _object(
 )
 
 
-def poses(eta: Mapping[str, Array]) -> list[dict[str, Any]]:
+def poses(eta: Mapping[str, Reals]) -> list[dict[str, Any]]:
     """eta: {axis: (N,)}, position in NED and zyx Euler angles [m, rad].  Returns N poses in ENU and FLU."""
     position = np.column_stack([eta["y"], eta["x"], -eta["z"]])
     orientation = quaternion(eta["phi"], -eta["theta"], np.pi / 2 - eta["psi"])
@@ -55,7 +54,7 @@ def poses(eta: Mapping[str, Array]) -> list[dict[str, Any]]:
     ]
 
 
-def quaternion(phi: Array, theta: Array, psi: Array) -> Array:
+def quaternion(phi: Reals, theta: Reals, psi: Reals) -> Reals:
     """Of zyx Euler angles [rad], each (N,).  Returns (N, 4): x, y, z, w."""
     (c1, c2, c3), (s1, s2, s3) = (turn(np.array([phi, theta, psi]) / 2) for turn in (np.cos, np.sin))
     x, y = s1 * c2 * c3 - c1 * s2 * s3, c1 * s2 * c3 + s1 * c2 * s3

@@ -28,7 +28,7 @@ def target(path: str | Path, used: Iterable[str | Path] = ()) -> Path:
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Every figure is drawn and written in this, whatever the user's own settings of matplotlib are."""
+    """The style in which every figure is drawn and written, whatever the user's settings of matplotlib are."""
     import matplotlib
 
     from .panels import STYLE
@@ -40,7 +40,7 @@ def style() -> Iterator[None]:
 
 
 def save(figure: Figure, target: Path, dpi: float = DPI) -> Path:
-    """Write a figure as PNG, PDF or SVG, as the file's name ends.  Raises StoreError where it cannot be written."""
+    """Write a figure as PNG, PDF or SVG, by the suffix of the file.  Raises StoreError where it cannot be written."""
     suffix = target.suffix.lower()
     with style(), files.replacing(target) as half:
         figure.savefig(half, format=suffix[1:], dpi=dpi, **OPTIONS[suffix])
@@ -48,7 +48,7 @@ def save(figure: Figure, target: Path, dpi: float = DPI) -> Path:
 
 
 def svg(figure: Figure, salt: str) -> str:
-    """A figure as an <svg> element.  salt: of its ids, which must differ among the figures of a page."""
+    """A figure as an <svg> element.  salt: of its ids, which must differ between the figures of a page."""
     import matplotlib
 
     stream = io.StringIO()

@@ -1,4 +1,4 @@
-"""The system as a picture: components in columns from references to vehicles, an arrow for what one gives another.
+"""The system as a diagram: components in columns from references to vehicles, connections as arrows.
 
 As SVG, inside a page or as a file of its own, and as Mermaid.  In SVG an arrow to the next column runs straight; every
 other one, feedback above all, leaves to the right, runs in a lane above or below all components, and comes in from the
@@ -47,7 +47,7 @@ Arrows = dict[tuple[str, str], list[str]]  # {(source, sink): names of the vecto
 
 
 def diagram(resolved: Mapping[str, Any], vehicles: Iterable[str]) -> str:
-    """An inline SVG of a resolved experiment.  vehicles: whose outputs are feedback, not the way onward."""
+    """An inline SVG of a resolved experiment.  vehicles: components whose outputs are feedback."""
     fmus = {str(component["name"]): str(component["fmu"]) for component in resolved.get("components", [])}
     arrows = _arrows(resolved.get("connections", []))
     columns = _columns(list(fmus), list(arrows), set(vehicles))
@@ -62,7 +62,7 @@ def draw(plan: Plan, target: Path) -> Path:
 
 
 def feedback(plan: Plan) -> set[str]:
-    """Components that are fed and give states only: what they put out does not depend on an input of the instant."""
+    """Components with inputs whose outputs are states only: no output depends directly on an input."""
     fed = {connection.sink for connection in plan.connections}
     direct = {connection.source for connection in plan.connections if connection.output.feedthrough}
     return fed & {connection.source for connection in plan.connections} - direct
@@ -125,7 +125,7 @@ def _arrows(connections: Iterable[Sequence[Any]]) -> Arrows:
 
 
 def _columns(names: Sequence[str], pairs: Sequence[tuple[str, str]], vehicles: set[str]) -> list[list[str]]:
-    """Components by the longest way to them, then pulled towards what they feed; rows ordered to cross little."""
+    """Components by the longest path to them, then moved towards what they feed; rows ordered for few crossings."""
     onward: dict[str, list[str]] = {name: [] for name in names}
     for source, sink in pairs:
         if source not in vehicles and source != sink and not _reaches(onward, sink, source):
@@ -244,7 +244,7 @@ class _Drawing:
         )
 
     def _words(self) -> str:
-        """The same for those who do not see it."""
+        """The diagram in words, for screen readers."""
         words = [f"{source} gives {sink} {', '.join(names)}" for (source, sink), names in self.arrows.items()]
         return f"System of {len(self.fmus)} components. " + "; ".join(words)
 

@@ -42,21 +42,21 @@ def draw(runs: Sequence[Run], target: Path, signals: Sequence[str] = ()) -> Path
     figures.target(target, [run.path for run in runs])
     for run in runs:
         if not len(run.time):
-            raise StoreError(f"{run.path} holds no row yet: there is nothing to plot")
+            raise StoreError(f"{run.path} holds no rows yet: there is nothing to plot")
     with figures.style():
         return figures.save(_figure(runs, signals), target)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """time: s, of the last row; running: whether a run goes on."""
+    """time: of the last row [s].  running: whether a run has not ended yet."""
 
     time: float
     running: bool
 
 
 def draw_files(paths: Sequence[Path], target: Path, signals: Sequence[str] = ()) -> Drawn:
-    """`draw` records as they are now."""
+    """`draw` records with the rows that they have now."""
     from ...records.file.run import Run
 
     runs = [Run(path) for path in paths]
@@ -70,7 +70,7 @@ def draw_files(paths: Sequence[Path], target: Path, signals: Sequence[str] = ())
 
 
 def following(paths: Sequence[Path], target: Path, signals: Sequence[str] = (), every: float = 1.0) -> Iterator[Drawn]:
-    """`draw_files` again and again, `every` so many seconds, until the runs have ended."""
+    """`draw_files` repeatedly, with `every` seconds in between, until the runs have ended."""
     while True:
         drawn = draw_files(paths, target, signals)
         yield drawn
@@ -149,7 +149,7 @@ def _facts(run: Run) -> list[str]:
 
 
 def _run_keys(runs: Sequence[Run]) -> list[Line2D]:
-    """The colour of each run and what tells it from the others."""
+    """The colour of each run and how it differs from the others."""
     if len(runs) == 1:
         return []
     keys = []
@@ -165,7 +165,7 @@ def _chosen(runs: Sequence[Run], globs: Sequence[str]) -> list[Panel]:
     for glob in globs:
         if not any(matches(name, glob) for name in units):
             vectors = dict.fromkeys(name.rpartition(".")[0] for name in units)
-            raise StoreError(f"no recorded signal fits {glob!r}{did_you_mean(glob, [*vectors, *units], 'recorded')}")
+            raise StoreError(f"no recorded signal matches {glob!r}{did_you_mean(glob, [*vectors, *units], 'recorded')}")
     panels: dict[tuple[str, str], list[str]] = {}
     for name, unit in units.items():
         if any(matches(name, glob) for glob in globs):

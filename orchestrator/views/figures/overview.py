@@ -20,11 +20,10 @@ from .panels import DENSE, DESIRED, GREY, MAX_POINTS, Curve, Panel, colour, plai
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
+    from ...arrays import Reals
     from ...records.file.run import Run
 
-    Array = NDArray[np.float64]
 
 DEG = 180.0 / np.pi
 HEADINGS = 12  # arrows along a track, fewer along many
@@ -36,52 +35,52 @@ class Trace:
     """A vehicle of a run.  run: its number; time: (N,) [s]."""
 
     run: int
-    time: Array
+    time: Reals
     vehicle: Vehicle
     colour: Any
 
 
 def traces(runs: Sequence[Run]) -> list[Trace]:
     """Every vehicle of every run."""
-    found = [(i, run.time, vehicle) for i, run in enumerate(runs) for vehicle in vehicles(run)]
-    names = list(dict.fromkeys(vehicle.name for _, _, vehicle in found))
+    every = [(i, run.time, vehicle) for i, run in enumerate(runs) for vehicle in vehicles(run)]
+    names = list(dict.fromkeys(vehicle.name for _, _, vehicle in every))
     number = {name: k for k, name in enumerate(names)}
     return [
         Trace(i, time, vehicle, colour(i, number[vehicle.name]) if len(runs) > 1 else colour(number[vehicle.name]))
-        for i, time, vehicle in found
+        for i, time, vehicle in every
     ]
 
 
 def keys(traces: Sequence[Trace]) -> list[Line2D]:
     """The legend: vehicles, and what the marks mean."""
-    found = []
+    handles = []
     several = len({trace.run for trace in traces}) > 1
     names = list(dict.fromkeys(trace.vehicle.name for trace in traces))
     if not several or len(names) > 1:
         for k, name in enumerate(names):
-            found.append(Line2D([], [], color=tint(GREY, k) if several else colour(k), label=plain(name)))
+            handles.append(Line2D([], [], color=tint(GREY, k) if several else colour(k), label=plain(name)))
     if any(trace.vehicle.eta_d for trace in traces):
-        found.append(Line2D([], [], label="desired", **DESIRED))
+        handles.append(Line2D([], [], label="desired", **DESIRED))
     mark: dict[str, Any] = {"linestyle": "", "color": GREY, "markersize": 6}
     if traces:
-        found.append(Line2D([], [], marker="o", label="start", **mark | {"markerfacecolor": "white"}))
-        found.append(Line2D([], [], marker="s", label="end", **mark))
-        found.append(Line2D([], [], marker=r"$\rightarrow$", label="heading", **mark | {"markersize": 11}))
-    return found
+        handles.append(Line2D([], [], marker="o", label="start", **mark | {"markerfacecolor": "white"}))
+        handles.append(Line2D([], [], marker="s", label="end", **mark))
+        handles.append(Line2D([], [], marker=r"$\rightarrow$", label="heading", **mark | {"markersize": 11}))
+    return handles
 
 
 def rows(traces: Sequence[Trace]) -> list[list[Panel]]:
     """Panels over time, as far as their signals are recorded."""
     thrusters = dict.fromkeys(axis for trace in traces for axis in trace.vehicle.u)
     commands = [_command(traces, axis) for axis in thrusters]
-    found = [
+    every = [
         [_state(traces, axis, "m", 1.0, 0.1) for axis in ("x", "y", "z")],
         [_state(traces, axis, "deg", DEG, 1.05) for axis in ("phi", "theta", "psi")],
         [_error(traces, axis) for axis in ("x", "y", "z")],
         *(commands[i : i + 3] for i in range(0, len(commands), 3)),
         _formation(traces),
     ]
-    return [panels for row in found if (panels := [panel for panel in row if panel.curves])]
+    return [panels for row in every if (panels := [panel for panel in row if panel.curves])]
 
 
 def _state(traces: Sequence[Trace], axis: str, unit: str, factor: float, span: float) -> Panel:
@@ -222,7 +221,7 @@ def draw_space(ax: Any, traces: Sequence[Trace]) -> None:
         axis.labelpad = 0
 
 
-def _track(eta: Mapping[str, Array], axes: str) -> list[Array]:
+def _track(eta: Mapping[str, Reals], axes: str) -> list[Reals]:
     """The named axes, each (n,) with n <= MAX_POINTS, the last row among them."""
     count = len(eta[axes[0]])
     rows = np.unique([*range(0, count, 1 + count // MAX_POINTS), count - 1])

@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from ...arrays import Reals
+
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # safe for the colour-blind
 GREY = "#606060"
@@ -55,8 +55,8 @@ SYMBOLS = {"phi": r"\phi", "theta": r"\theta", "psi": r"\psi"}
 class Curve:
     """values over time, both (N,), in the panel's unit.  style: of matplotlib's plot."""
 
-    time: Array
-    values: Array
+    time: Reals
+    values: Reals
     style: dict[str, Any]
 
 
@@ -129,7 +129,7 @@ def _draw(ax: Axes, panel: Panel) -> None:
         )
 
 
-def _thin(time: Array, values: Array) -> tuple[Array, Array]:
+def _thin(time: Reals, values: Reals) -> tuple[Reals, Reals]:
     """At most MAX_POINTS of (N,): the lowest and the highest of each stretch, so that no peak is lost."""
     length = 2 * -(-len(values) // MAX_POINTS)
     if length <= 2:
@@ -143,7 +143,7 @@ def _thin(time: Array, values: Array) -> tuple[Array, Array]:
 
 
 def colour(k: int, lightness: int = 0) -> Any:
-    """The k-th colour, lightened on request, and anew each time that the palette is used up."""
+    """The k-th colour, lightened `lightness` times, and once more each time that the palette is used up."""
     return tint(OKABE_ITO[k % len(OKABE_ITO)], lightness + k // len(OKABE_ITO))
 
 
@@ -162,5 +162,5 @@ def symbol(axis: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib does not take for mathematics."""
+    """Text that matplotlib does not read as mathematics."""
     return text.replace("$", r"\$")

@@ -15,15 +15,13 @@ from ... import metrics
 from ...fmu.units import readable
 from ...names import split_axis
 from ...records.compare.vehicles import AXES, Vehicle
-from .arrays import packed, thin
 from .colours import colours
+from .packing import packed, thin
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from ...arrays import Reals
     from ...records.file.run import Run
 
-    Array = NDArray[np.float64]
 
 DEG = 180.0 / np.pi
 LETTERS = {"phi": "φ", "theta": "θ", "psi": "ψ"}
@@ -33,31 +31,31 @@ Fleet = Sequence[tuple["Run", list[Vehicle]]]  # every run with its vehicles
 
 
 def groups(fleet: Fleet) -> list[dict[str, Any]]:
-    """The groups of panels of all runs, without those that nothing is recorded of."""
+    """The groups of panels of all runs, without groups of which nothing is recorded."""
     if not any(vehicles for _, vehicles in fleet):
         return _signals([run for run, _ in fleet])
-    found = [
+    every = [
         ("Position and attitude", "Dashed: the reference. Depth points down.", _states(fleet)),
         ("Errors", "State minus reference.", _errors(fleet)),
         ("Thruster commands", "Normalized, from -1 to 1.", _thrusters(fleet)),
         ("Formation", "The second vehicle seen from the first.", _formation(fleet)),
         ("Velocities", "In the body frame.", _velocities(fleet)),
     ]
-    return [{"title": title, "note": note, "panels": panels} for title, note, panels in found if panels]
+    return [{"title": title, "note": note, "panels": panels} for title, note, panels in every if panels]
 
 
 def keys(fleet: Fleet, labels: Sequence[str]) -> list[dict[str, Any]]:
     """The buttons of the legend.  labels: of the runs."""
     several = len(fleet) > 1
-    found: list[dict[str, Any]] = []
+    buttons: list[dict[str, Any]] = []
     if several:
-        found = [{"key": f"run{i}", "label": label, "colour": colours(i, 0)} for i, label in enumerate(labels)]
+        buttons = [{"key": f"run{i}", "label": label, "colour": colours(i, 0)} for i, label in enumerate(labels)]
     names = list(dict.fromkeys(vehicle.name for _, vehicles in fleet for vehicle in vehicles))
     if not several or len(names) > 1:
-        found += [{"key": n, "label": n, "colour": None if several else colours(k, 0)} for k, n in enumerate(names)]
+        buttons += [{"key": n, "label": n, "colour": None if several else colours(k, 0)} for k, n in enumerate(names)]
     if any(vehicle.eta_d for _, vehicles in fleet for vehicle in vehicles):
-        found.append({"key": "desired", "label": "reference", "colour": None, "dashed": True})
-    return found
+        buttons.append({"key": "desired", "label": "reference", "colour": None, "dashed": True})
+    return buttons
 
 
 def vehicle_colours(fleet: Fleet, run: int, name: str) -> list[str]:
@@ -182,8 +180,8 @@ def _curve(
     fleet: Fleet,
     run: int,
     vehicle: str,
-    time: Array,
-    values: Array,
+    time: Reals,
+    values: Reals,
     desired: bool = False,
     keys: Sequence[str] | None = None,
 ) -> dict[str, Any]:
@@ -197,6 +195,6 @@ def _curve(
     return _points(time, values) | own
 
 
-def _points(time: Array, values: Array) -> dict[str, Any]:
+def _points(time: Reals, values: Reals) -> dict[str, Any]:
     rows = thin(np.asarray(values, float))
     return {"t": packed(time[rows]), "y": packed(values[rows])}

@@ -1,4 +1,4 @@
-"""What the page says in words and numbers: what ran, how it ended, its metrics, what made its record."""
+"""The text of the page: what ran, how it ended, its metrics, and how its record was made."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def title_of(run: Run) -> str:
 
 
 def of(run: Run, label: str) -> dict[str, Any]:
-    """One run, for the head of the page and its last section.  label: its id and what tells it from the others."""
+    """One run, for the head of the page and its last section.  label: its id and how it differs from the others."""
     facts = run.attributes
     last = f"{run.time[-1]:.6g} s" if len(run.time) else "no row"
     return {

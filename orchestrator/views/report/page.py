@@ -1,7 +1,7 @@
 """`orch report`: records in, one HTML file out, with its script, its style and its numbers inside.
 
-`curves` and `scene` say what of a record is drawn, plotly.js draws it, told by plots.js, scene.js and replay.js;
-`facts` and `diagram` are text.  The page forbids itself every request (Content-Security-Policy).
+`curves` and `scene` choose what of a record is drawn; plots.js, scene.js and replay.js draw it with plotly.js.  `facts`
+is the text.  The page's Content-Security-Policy forbids every request.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def page(runs: Sequence[Run]) -> str:
 
 
 def _diagrams(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """The systems of the runs, each once, and whose it is."""
+    """The systems of the runs, each once, and the runs that have it."""
     drawn: dict[str, list[str]] = {}
     for run in runs:
         names = [vehicle.name for vehicle in vehicles(run)] if len(run.time) else []

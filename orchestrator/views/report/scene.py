@@ -1,4 +1,4 @@
-"""What the replay shows: poses of the vehicles and their references, the current, the object, and the room for all."""
+"""What the replay shows: poses of the vehicles and their references, the current, the object, and the space around."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import numpy as np
 
 from ... import metrics
 from ...records.compare.vehicles import AXES, Vehicle
-from .arrays import even, packed
 from .curves import Fleet, vehicle_colours
+from .packing import even, packed
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from ...arrays import Places, Reals, Truths
     from ...records.file.run import Run
 
-    Array = NDArray[np.float64]
 
 STEADY = 1e-3  # m; a reference distance that stays within this holds an object
 HELD = 0.2  # of the length; without references, the recorded distance may stray that far
@@ -55,7 +53,7 @@ def replay(fleet: Fleet) -> dict[str, Any] | None:
 def _run(fleet: Fleet, number: int, run: Run, vehicles: Sequence[Vehicle]) -> dict[str, Any]:
     rows = even(len(run.time))
     current = next((v.v_c for v in vehicles if {*"xyz"} <= {*v.v_c}), {})
-    found = [
+    shown = [
         {
             "name": vehicle.name,
             "colour": vehicle_colours(fleet, number, vehicle.name),
@@ -67,13 +65,13 @@ def _run(fleet: Fleet, number: int, run: Run, vehicles: Sequence[Vehicle]) -> di
     return {
         "number": number,
         "time": packed(run.time[rows]),
-        "vehicles": found,
+        "vehicles": shown,
         "current": packed(np.column_stack([current[axis][rows] for axis in "xyz"])) if current else None,
         "object": gripped(run, vehicles),
     }
 
 
-def _columns(vector: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+def _columns(vector: Mapping[str, Reals], rows: Places) -> Reals:
     """(K, 6) of eta's axes; nan where an axis is missing."""
     missing = np.full(len(rows), math.nan)
     return np.column_stack([vector[axis][rows] if axis in vector else missing for axis in AXES])
@@ -115,18 +113,18 @@ def gripped(run: Run, vehicles: Sequence[Vehicle]) -> dict[str, Any] | None:
     return None
 
 
-def _places(vector: Mapping[str, Array]) -> Array:
+def _places(vector: Mapping[str, Reals]) -> Reals:
     return np.column_stack([vector[axis] for axis in "xyz"])
 
 
-def _around(steady: NDArray[np.bool_], window: NDArray[np.bool_]) -> tuple[int, int]:
+def _around(steady: Truths, window: Truths) -> tuple[int, int]:
     """First and last row of the steady stretch that the window lies in."""
     start, stop = int(window.argmax()), len(window) - int(window[::-1].argmax()) - 1
     before, after = np.flatnonzero(~steady[:start]), np.flatnonzero(~steady[stop:])
     return int(before[-1]) + 1 if len(before) else 0, stop + int(after[0]) - 1 if len(after) else len(steady) - 1
 
 
-def _extent(vehicles: Sequence[Vehicle]) -> tuple[Array, Array]:
+def _extent(vehicles: Sequence[Vehicle]) -> tuple[Reals, Reals]:
     """The lowest and the highest of each of x, y, z, over tracks and references [m]."""
     paths = [v.eta for v in vehicles] + [v.eta_d for v in vehicles if {*"xyz"} <= {*v.eta_d}]
     points = np.concatenate([_places(path) for path in paths])

@@ -28,10 +28,10 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Grid:
-    """A table: `corner` and below it `stubs` name the rows, `heads` the columns; `rows` are cells.
+class ComparisonTable:
+    """`stubs` name the rows, with `corner` above them; `heads` name the columns; `rows` are cells.
 
-    runs_down: a run has a row and a metric a column; else the other way round.
+    runs_down: rows are runs and columns metrics; else the other way round.
     """
 
     corner: list[str]
@@ -44,8 +44,8 @@ class Grid:
         return [row[k] for row in self.rows]
 
 
-def grid(comparison: Comparison) -> Grid:
-    """Runs down and metrics across or, where there are more metrics than runs, the other way round."""
+def laid_out(comparison: Comparison) -> ComparisonTable:
+    """A row for each run and a column for each metric or, where there are more metrics than runs, transposed."""
     entries, columns = comparison.entries, comparison.columns
     best = {column: comparison.best(column) for column in columns}
     cells = [
@@ -56,10 +56,10 @@ def grid(comparison: Comparison) -> Grid:
         titled = any(entry.title for entry in entries)
         stubs = [[e.name, e.title] if titled else [e.name] for e in entries]
         heads = [[c.name, f"[{c.unit}]" if c.unit else ""] for c in columns]
-        return Grid(["run", "what differs"] if titled else ["run"], stubs, heads, cells, runs_down=True)
+        return ComparisonTable(["run", "what differs"] if titled else ["run"], stubs, heads, cells, runs_down=True)
     stubs = [[column.name, column.unit] for column in columns]
     across = [list(row) for row in zip(*cells, strict=True)]
-    return Grid(["metric", "unit"], stubs, [[e.name, e.title] for e in entries], across, runs_down=False)
+    return ComparisonTable(["metric", "unit"], stubs, [[e.name, e.title] for e in entries], across, runs_down=False)
 
 
 def _shown(value: float) -> str:
@@ -68,7 +68,7 @@ def _shown(value: float) -> str:
 
 def table(comparison: Comparison) -> str:
     """For the terminal."""
-    shown = grid(comparison)
+    shown = laid_out(comparison)
     rows = [[*shown.corner, *("\n".join(f"{line}{TIED}" for line in _title(head)) for head in shown.heads)]]
     for stub, row in zip(shown.stubs, shown.rows, strict=True):
         rows.append([*stub, *(cell.text + (MARK if cell.is_best else TIED) for cell in row)])
@@ -82,7 +82,7 @@ def _title(head: Sequence[str]) -> list[str]:
     return [first, *(line for text in rest for line in textwrap.wrap(text, HEAD))]
 
 
-def _legend(comparison: Comparison, shown: Grid) -> list[str]:
+def _legend(comparison: Comparison, shown: ComparisonTable) -> list[str]:
     cells = [cell for row in shown.rows for cell in row]
     lines = []
     if any(cell.is_best for cell in cells):
@@ -95,7 +95,7 @@ def _legend(comparison: Comparison, shown: Grid) -> list[str]:
 
 def markdown(comparison: Comparison) -> str:
     """The best in bold."""
-    shown = grid(comparison)
+    shown = laid_out(comparison)
     heads = [" ".join(filter(None, head)) for head in shown.heads]
     lines = [[*map(_escaped, [*shown.corner, *heads])], [*("---" for _ in shown.corner), *("---:" for _ in heads)]]
     for stub, row in zip(shown.stubs, shown.rows, strict=True):
@@ -109,7 +109,7 @@ def _escaped(text: str) -> str:
 
 
 def csv_text(comparison: Comparison) -> str:
-    """One line a run in full precision, whatever there is more of; no number is an empty cell."""
+    """Always a line for each run, in full precision; an empty cell where there is no number."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["run", "experiment", "what differs", "status", *(c.head for c in comparison.columns)])
@@ -122,7 +122,7 @@ def csv_text(comparison: Comparison) -> str:
 
 def latex_text(comparison: Comparison) -> str:
     """The best in bold; siunitx aligns the numbers."""
-    shown = grid(comparison)
+    shown = laid_out(comparison)
     heads, stubs = [], []
     for first, second in shown.heads:
         unit = [f"({latex.unit(second[1:-1])})" if second else ""]

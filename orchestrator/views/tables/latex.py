@@ -14,7 +14,7 @@ SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
 
 
 def escape(text: str) -> str:
-    """Text without a meaning to LaTeX."""
+    """Text whose letters have no special meaning to LaTeX."""
     return "".join(SPECIAL.get(letter, letter) for letter in text)
 
 
@@ -39,9 +39,9 @@ def _macro(symbol: str, exponent: int) -> str:
 def number_format(numbers: Sequence[str]) -> str:
     """siunitx's table-format of a column: digits before and after the point, and of the exponent."""
     parts = [re.fullmatch(r"(-?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?", number) for number in numbers]
-    found = [part.groups(default="") for part in parts if part]
-    whole, behind, power = (max((len(part[i]) for part in found), default=0) for i in (1, 2, 3))
-    sign = "-" if any(part[0] for part in found) else ""
+    groups = [part.groups(default="") for part in parts if part]
+    whole, behind, power = (max((len(part[i]) for part in groups), default=0) for i in (1, 2, 3))
+    sign = "-" if any(part[0] for part in groups) else ""
     return f"{sign}{whole or 1}.{behind}" + (f"e-{'9' * (power - 1)}" if power else "")
 
 

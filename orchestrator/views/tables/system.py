@@ -1,4 +1,4 @@
-"""The system that an experiment is, as tables: its components, and what is connected to what."""
+"""The system of an experiment as tables: its components and its connections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Rows = list[tuple[str, ...]]
 
 
 def components(plan: Plan) -> Rows:
-    """A row a component, in the order of stepping, below a row of titles."""
+    """A row for each component, in the order of stepping, below a row of titles."""
     rows: Rows = [("component", "fmu", "version", "packaging", "steps every")]
     for component in plan.components:
         step = plan.experiment.grid.time(component.period)
@@ -28,7 +28,7 @@ def components(plan: Plan) -> Rows:
 
 
 def connections(plan: Plan) -> Rows:
-    """A row for what goes together from one component to another: a scalar, or axes of a vector."""
+    """A row for each connected scalar or vector, below a row of titles."""
     rows: Rows = [("input", "output", "axes", "unit", "conversion")]
     groups: dict[tuple[str, str], list[Connection]] = {}
     for connection in plan.connections:
@@ -46,7 +46,7 @@ def connections(plan: Plan) -> Rows:
 
 
 def _axes(connections: Sequence[Connection]) -> str:
-    """ "x y z"; "T1 <- 1" where the two ends call an axis by different names."""
+    """ "x y z"; "T1 <- 1" where the two ends name an axis differently."""
     pairs = [
         (split_axis(connection.input.name)[1], split_axis(connection.output.name)[1]) for connection in connections
     ]

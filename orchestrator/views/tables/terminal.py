@@ -9,9 +9,9 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
 GAP = 2  # spaces between columns
-WORD = 22  # characters; a longer word may be broken, a longer title is wrapped above shorter cells
-LINES = 3  # of a cell, where something else shows the whole
-TIED = "\u00a0"  # a space in a cell at which no line ends; it is printed as a space
+WORD = 22  # characters; a longer word may be broken, a title longer than that and than its cells is wrapped
+LINES = 3  # of a cell, where another command shows the whole
+TIED = "\u00a0"  # a space at which a cell is not wrapped; it is printed as a space
 
 
 def table(
@@ -51,7 +51,7 @@ def table(
 
 
 def tied(text: str) -> str:
-    """A text that no line ends in."""
+    """A text that is not wrapped."""
     return text.replace(" ", TIED)
 
 
@@ -72,7 +72,7 @@ def _widest(cells: Sequence[str], title: bool) -> int:
 
 
 def _narrowest(cells: Sequence[str], title: bool, widest: int) -> int:
-    """The width at which words still stand whole, and what has many words is no tower of them."""
+    """The least width: words are whole, and a third of the longest cell fits on a line, up to WORD characters."""
     word = max((len(word) for cell in cells for word in cell.replace("\n", " ").split(" ")), default=0)
     body = max(map(len, cells[title:]), default=0)
     return min(widest, max(min(word, WORD), min(body // 3, WORD)))

@@ -8,20 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from ...arrays import Places, Reals
 
-    Array = NDArray[np.float64]
 
 MAX_POINTS = 3000  # of a curve; what a screen shows, and few enough for a page of 8 MB
 MAX_POSES = 2000  # of a vehicle in the replay; 50 a second over 40 s
 
 
-def packed(values: Array) -> dict[str, str]:
+def packed(values: Reals) -> dict[str, str]:
     """(N,) or (N, M), row by row, as little-endian float32 in base64; core.js makes a Float32Array of it."""
     return {"f4": base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")}
 
 
-def thin(values: Array, most: int = MAX_POINTS) -> NDArray[np.intp]:
+def thin(values: Reals, most: int = MAX_POINTS) -> Places:
     """Rows of (N,) that draw the same line: the lowest and the highest of each of most/2 stretches, so no peak is lost.
 
     Rows inside a constant stretch are left out as well.  Returns (K,) with K <= most, ascending.
@@ -40,6 +39,6 @@ def thin(values: Array, most: int = MAX_POINTS) -> NDArray[np.intp]:
     return rows[~inside]
 
 
-def even(count: int, most: int = MAX_POSES) -> NDArray[np.intp]:
+def even(count: int, most: int = MAX_POSES) -> Places:
     """At most `most` of `count` rows, evenly spaced, first and last among them."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
