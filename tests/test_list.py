@@ -226,7 +226,7 @@ def test_a_store_that_cannot_be_written_is_listed(orch, store):
 
 
 def test_running_and_killed_runs_are_told_apart(orch, store, write, models, tmp_path):
-    with subprocess.Popen([ORCH, "run", write(single("moody", pause=0.3), "slow.toml"), "-q"], cwd=tmp_path) as process:
+    with subprocess.Popen([ORCH, "run", write(single("moody", pause=3.0), "slow.toml"), "-q"], cwd=tmp_path) as process:
         poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
         time.sleep(0.3)
         assert [run["status"] for run in listed(orch, "--experiment", "slow")] == ["running"]
