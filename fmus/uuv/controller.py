@@ -6,7 +6,7 @@ from typing import Any
 
 from .bluerov2 import BlueROV2Body
 from .dynamics import coriolis, damping, mass, restoring
-from .kinematics import inverse_jacobian, jacobian, jacobian_dot
+from .kinematics import inverse_jacobian, jacobian, jacobian_dot, pose_error
 from .modelling.declare import Group, Input, Output
 from .modelling.equations import Model
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, TAU
@@ -25,8 +25,11 @@ class Controller(Model):
     tau = Output(TAU)
 
     def errors(self) -> tuple[Any, Any]:
-        """e = eta - eta_d and e_dot = J(eta) nu - eta_d_dot, (6,) each [m, rad; m/s, rad/s]."""
-        return self.eta - self.eta_d, jacobian(self.eta) @ self.nu - self.eta_d_dot
+        """e = eta - eta_d, its angles in [-pi, pi], and e_dot = J(eta) nu - eta_d_dot.
+
+        (6,) each [m, rad; m/s, rad/s].
+        """
+        return pose_error(self.eta, self.eta_d), jacobian(self.eta) @ self.nu - self.eta_d_dot
 
 
 class ModelBasedController(Controller):

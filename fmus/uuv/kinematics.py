@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import casadi as ca
@@ -58,6 +59,16 @@ def inverse_jacobian(eta: Any) -> Any:
         [0, -s_phi, ca.cos(theta) * c_phi],
     )
     return ca.diagcat(rotation(eta).T, rates)
+
+
+def pose_error(eta: Any, eta_d: Any) -> Any:
+    """e = eta - eta_d, the angles on the circle: e - 2 pi round(e/(2 pi)), in [-pi, pi].
+
+    The shortest way round, and no jump where eta_d is given modulo 2 pi.  Exact, so that |e| < pi keeps every bit.
+    eta, eta_d: (6,) NED position and zyx Euler angles [m, rad].  Returns (6,) [m, rad].
+    """
+    e = eta - eta_d
+    return ca.vertcat(e[:3], *(ca.remainder(e[i], 2 * math.pi) for i in (3, 4, 5)))
 
 
 def _matrix(*rows: list[Any]) -> Any:

@@ -30,6 +30,7 @@ class {classname}(PythonModel):
     def do_step(self, t, h):
         """One step from t to t + h [s]: read the inputs, set the outputs.  Keep what you need on self."""
         e = self.eta_d - self.eta
+        e[3:] -= 2 * np.pi * np.round(e[3:] / (2 * np.pi))  # angles: the shortest way round
         c, s = np.cos(self.eta[5]), np.sin(self.eta[5])
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # BODY to NED, for a nearly level vehicle
         force = R.T @ (self.K_p * e[:3] + self.K_d * self.eta_d_dot[:3]) - self.K_d * self.nu[:3]
