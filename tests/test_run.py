@@ -6,6 +6,7 @@ import os
 import subprocess
 import threading
 
+import h5py
 import numpy as np
 import pytest
 
@@ -295,10 +296,15 @@ def test_of_processes_that_begin_at_once_one_runs(write, models, tmp_path):
     assert orchestrator.open_run(final).status == "completed"
 
 
-def test_a_record_that_a_process_is_about_to_lock_is_taken(orch, write, models, tmp_path):
+@pytest.mark.parametrize("content", ["room", "record"])
+def test_a_record_that_a_process_is_about_to_lock_is_taken(content, orch, write, models, tmp_path):
     path = write(single("moody"))
     final = tmp_path / orch("run", path, "--json").json["file"]
-    final.write_bytes(bytes(1 << 16))  # created by another process, its room reserved
+    if content == "room":
+        final.write_bytes(bytes(1 << 16))  # created by another process, its room reserved
+    else:
+        with h5py.File(final, "r+") as file:
+            file.attrs["status"], file.attrs["pid"] = "running", os.getpid()
     with final.open("rb+") as file:
         another = threading.Timer(0.3, fcntl.flock, (file, fcntl.LOCK_EX | fcntl.LOCK_NB))
         with subprocess.Popen([ORCH, "run", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
@@ -384,6 +390,7 @@ def test_a_swap_and_a_set_run_and_say_what_they_dropped(orch, write, spiral, tmp
 def test_python_runs_and_reads(python, write, spiral):
     write(spiral)
     answer = python("""
+import h5py
 import numpy as np
 import orchestrator as orch
 
@@ -447,6 +454,7 @@ def test_numbers_of_numpy_are_numbers(python, write, spiral):
     """A loop over numpy.linspace is the usual way to vary a parameter."""
     write(spiral)
     answer = python("""
+import h5py
 import numpy as np
 import orchestrator as orch
 

@@ -7,6 +7,8 @@ the file between two of its states.
 
 from __future__ import annotations
 
+import os
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -66,17 +68,32 @@ def is_taken(path: Path) -> bool:
     """Whether a process is writing the file, or is about to: a writer creates a file an instant before it locks it."""
     deadline = time.monotonic() + PATIENCE
     while not is_locked(path):
-        if not path.exists() or _is_record(path) or time.monotonic() > deadline:
+        if not path.exists() or _is_left(path) or time.monotonic() > deadline:
             return False
         time.sleep(0.01)
     return True
 
 
-def _is_record(path: Path) -> bool:
+def _is_left(path: Path) -> bool:
+    """Whether an unlocked file is a record that its writer has ended, or left by dying; else it may yet be locked."""
     try:
-        opened(path).close()
+        with opened(path) as file:
+            writer, host = int(file.attrs["pid"]), file.attrs["hostname"]
+            return bool(file.attrs["status"] != "running" or host != socket.gethostname() or not _lives(writer))
     except UNREADABLE:
         return False
+
+
+def _lives(process: int) -> bool:
+    """Whether another process of this machine has that number."""
+    if process == os.getpid() or os.name == "nt":  # on Windows, signal 0 is no question
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        pass
     return True
 
 
