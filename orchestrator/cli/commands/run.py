@@ -93,9 +93,9 @@ def run(
             files.target(tlog, used=[*used, *([output] if output else [])])
         plan = prepared(experiment or None, sets, swaps, report, packaging, start)
         if tlog is not None:
-            from ...mavlink.fleet import spec_of
+            from ...views.export import as_tlog
 
-            spec_of(plan)  # its problems are known before the run
+            as_tlog.check(plan)  # its problems are reported before the run
         ticks = ticks_of(plan, times)
         for note in plan.notes:
             report(f"note: {note}")

@@ -13,7 +13,6 @@ from ...errors import ExperimentError, OrchError
 from ...files import short
 from ...fmu.fmu import Fmu
 from ...metrics import finite
-from ...names import split_axis
 from ...plan.feedthrough import Cycle, cycles
 from ...plan.plan import Plan
 from ...simulation.timing import PHASES
@@ -259,7 +258,7 @@ def _variable(fmu: Fmu, name: str) -> tuple[str, ...]:
     starts = [_number(v.start) for v in variables if v.start is not None]
     start = starts[0] if len(set(starts)) == 1 else " ".join(starts)
     meaning = variables[0].description
-    if split_axis(variables[0].name)[1]:
+    if axes != [""]:
         meaning = meaning.partition(": ")[2] or meaning
     return shown, start, ", ".join(units) if units != ["1"] else "", meaning
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import OrchError, StoreError
 from ...experiment import reader
 from ...experiment.mavlink import MavlinkSpec
+from ...mavlink.fleet import spec_of
 from ...mavlink.tlog import LoggedVehicle
 from ...mavlink.tlog import write as write_log
 from ...mavlink.vehicle.autopilot import Autopilot, FlightMode
@@ -23,7 +24,15 @@ from ...records.compare.vehicles import Vehicle, vehicles
 from ...records.file.run import Run
 from .content import Content
 
+if TYPE_CHECKING:
+    from ...plan.plan import Plan
+
 FORCE = ("x", "y", "z")
+
+
+def check(plan: Plan) -> None:
+    """Raises ExperimentError where no record of this plan can become a telemetry log."""
+    spec_of(plan)
 
 
 def write(content: Content, target: Path) -> None:
