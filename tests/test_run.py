@@ -296,15 +296,10 @@ def test_of_processes_that_begin_at_once_one_runs(write, models, tmp_path):
     assert orchestrator.open_run(final).status == "completed"
 
 
-@pytest.mark.parametrize("content", ["room", "record"])
-def test_a_record_that_a_process_is_about_to_lock_is_taken(content, orch, write, models, tmp_path):
+def test_a_record_that_a_process_is_about_to_lock_is_taken(orch, write, models, tmp_path):
     path = write(single("moody"))
     final = tmp_path / orch("run", path, "--json").json["file"]
-    if content == "room":
-        final.write_bytes(bytes(1 << 16))  # created by another process, its room reserved
-    else:
-        with h5py.File(final, "r+") as file:
-            file.attrs["status"], file.attrs["pid"] = "running", os.getpid()
+    final.write_bytes(bytes(1 << 16))  # created by another process, its room reserved
     with final.open("rb+") as file:
         another = threading.Timer(0.3, fcntl.flock, (file, fcntl.LOCK_EX | fcntl.LOCK_NB))
         with subprocess.Popen([ORCH, "run", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
@@ -312,6 +307,26 @@ def test_a_record_that_a_process_is_about_to_lock_is_taken(content, orch, write,
             assert "is being written by" in process.communicate()[1]
     assert process.returncode == 2
     assert list(tmp_path.glob("results/mine/*")) == [final]
+
+
+def test_a_record_whose_living_writer_has_not_locked_it_yet_is_taken(orch, python, write, models, tmp_path):
+    path = write(single("moody"))
+    final = tmp_path / orch("run", path, "--json").json["file"]
+    with h5py.File(final, "r+") as file:
+        file.attrs["status"], file.attrs["pid"] = "running", os.getpid()
+    answer = python(f"""
+import itertools
+import orchestrator
+from orchestrator.records.file import access
+
+looks = itertools.count()
+access.is_locked = lambda path: next(looks) > 1  # the other process locks it after the second look
+try:
+    orchestrator.run({str(path)!r})
+except orchestrator.StoreError as error:
+    print(error)
+""")
+    assert "is being written by" in answer.out, answer
 
 
 def test_a_record_completed_while_the_fmus_were_loaded_is_not_repeated(python, write, models):
