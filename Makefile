@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all fuzz lint reference bench clean
+.PHONY: run test test-all fuzz nightly lint reference bench clean
 
 run: $(VENV)/.installed
 	$(BIN)/orch run experiments/gripping_currents.toml
@@ -16,6 +16,8 @@ test-all: $(VENV)/.installed-dev
 
 fuzz: $(VENV)/.installed-dev
 	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py tests/test_fuzz.py tests/test_isolation.py
+
+nightly: fuzz test-all # what takes longer than anybody waits for
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -21,11 +21,8 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "orchestrator"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 MOST_MODULES = 10  # of a level
-MOST_ARROWS = 100
-
-
-# Circles that are being opened; goes when the last is.
-being_opened = pytest.mark.xfail(strict=False)
+MOST_ARROWS = 80  # of 120 that an order of sixteen packages and modules allows
+LOWEST = {"arrays", "errors", "names", "version", "warning"}
 
 
 def name_of(path):
@@ -58,17 +55,18 @@ def imports():
     return arrows
 
 
-@being_opened
 def test_no_module_imports_itself_by_way_of_others():
-    list(graphlib.TopologicalSorter(imports()).static_order())  # raises CycleError, which names them
+    arrows = imports()
+    assert not [name for name, targets in arrows.items() if "orchestrator" in targets]
+    list(graphlib.TopologicalSorter(arrows).static_order())  # raises CycleError, which names them
 
 
-@being_opened
 def test_packages_are_tied_by_few_imports():
-    tops = {(a.split(".")[1], b.split(".")[1]) for a, found in imports().items() for b in found if b != "orchestrator"}
+    """Not counted: imports of the lowest modules, whose names everybody uses; they import nothing but each other."""
+    tops = {(a.split(".")[1], b.split(".")[1]) for a, found in imports().items() for b in found}
     arrows = {(a, b) for a, b in tops if a != b}
-    assert len(arrows) < MOST_ARROWS
-    list(graphlib.TopologicalSorter({a: {b for x, b in arrows if x == a} for a, _ in arrows}).static_order())
+    assert {b for a, b in arrows if a in LOWEST} <= LOWEST
+    assert len({(a, b) for a, b in arrows if b not in LOWEST}) < MOST_ARROWS
 
 
 def test_no_level_has_more_modules_than_one_sees_at_a_glance():
@@ -100,7 +98,6 @@ def test_models_run_without_this_project():
     assert len(used) > 5
 
 
-@being_opened
 def test_only_the_command_line_names_the_command_line():
     named = re.compile(r"\borchestrator[./]cli\b|\bcli[./]main\b")
     outside = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "cli"]
@@ -131,3 +128,25 @@ def test_the_version_is_written_once():
         project = tomllib.load(file)
     assert project["project"]["dynamic"] == ["version"]
     assert project["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "orchestrator.version.__version__"}
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^version: (.*)$", citation, re.M)[1] == orchestrator.__version__
+
+
+def test_the_plan_of_the_house_is_that_of_the_contracts():
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        (levels,) = (c for c in tomllib.load(file)["tool"]["importlinter"]["contracts"] if c["id"] == "levels")
+    rows = re.findall(r"^\| (`.*?`) \|", (ROOT / "CONTRIBUTING.md").read_text(), re.M)
+    drawn = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    below = {name: i for i, level in enumerate(levels["layers"]) for name in re.split(r" [|:] ", level)}
+    assert set(drawn) == set(below)
+    assert [below[name] for name in drawn if name not in LOWEST] == sorted(below[n] for n in drawn if n not in LOWEST)
+
+
+@pytest.mark.parametrize("name", ["CONTRIBUTING.md", "README.md"])
+def test_files_that_a_guide_names_exist(name):
+    text = (ROOT / name).read_text()
+    paths = {path for path in re.findall(r"`([\w./]+)`", text) if "/" in path or path.endswith(".py")}
+    given = {path for path in paths if re.search(r"NAME|mine|results|^/", path)}
+    missing = {p for p in paths - given if not any((folder / p).exists() for folder in (ROOT, PACKAGE))}
+    assert len(paths - given) > 3
+    assert not missing

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import click
 
-from .. import __version__
 from ..errors import OrchError
+from ..version import __version__
 from .commands.options import INTERRUPTED
 
 COMMANDS = {  # name: where it is, module:object of the package `commands`
