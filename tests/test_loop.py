@@ -22,7 +22,7 @@ from orchestrator.simulation.loop import compiled
 pytestmark = pytest.mark.skipif(compiled() is None, reason="orch was installed without a C compiler")
 
 FILES = sorted(EXPERIMENTS.rglob("*.toml"))
-OTHER_FACTS = ("status", "error", "warnings", "failed_at", "stopped_at", "metrics")
+OTHER_FACTS = ("status", "error", "warnings", "warning_kinds", "failed_at", "stopped_at", "metrics")
 
 
 @pytest.fixture
@@ -172,10 +172,12 @@ main()
     assert answer.err.strip() == warning
 
 
-def test_an_alternating_signal_is_found_in_a_long_run_by_both_loops(both, shipped, spiral, write):
-    table = merged(spiral, {"master.stop_time": 40.0, "record.every": 0.1, "metrics": {}})
-    run = both(write(table), swap={"controller": "mfsosmc"})
-    assert any("controller.tau" in warning and "alternates" in warning for warning in run.attributes["warnings"])
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
+def test_an_unstable_loop_is_reported_alike_by_both_loops_in_a_long_run(both, shipped, spiral, write, algorithm):
+    table = merged(spiral, {"master.stop_time": 20.0, "master.algorithm": algorithm, "metrics": {}})
+    run = both(write(merged(table, {"record.every": 0.1})), swap={"controller": "mfsosmc"})
+    assert [warning.kind for warning in run.warnings] == ["unstable"]
+    assert run.warnings[0].startswith("controller.tau")
 
 
 @pytest.mark.parametrize("step", [1e-4, 0.003, 1.2345678901234567e-05])

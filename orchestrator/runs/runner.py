@@ -21,10 +21,12 @@ from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import writing
 from ..records.file.run import Run
 from ..records.store.folder import Store
+from ..simulation.bursts import Bursts
 from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
 from ..simulation.observer import Observer, interruptible
 from ..simulation.system import Context, System
+from . import half_step
 from .checkpoint.file import Checkpoint
 from .checkpoint.observer import CheckpointObserver, paths_of, ticks_of
 from .checkpoint.resume import resume
@@ -108,8 +110,11 @@ def execute(
         saver = CheckpointObserver(system, run_id, due)
         with writing(path, plan, run_id) as record:
             begin = partial(resume, plan.origin) if isinstance(plan.origin, Checkpoint) else initialize
-            record.outcome = run_master(system, [record, *observers, saver], interrupt, begin)
+            bursts = Bursts(system)
+            record.outcome = run_master(system, [record, *observers, saver], interrupt, begin, bursts)
             record.outcome.warnings += saver.warnings()
+            record.flush()
+            half_step.judge(plan, record.outcome, bursts, interrupt)
     outcome = record.outcome
     if outcome.status == "completed" and path != final:
         os.replace(path, final)

@@ -102,14 +102,24 @@ typedef struct {
     size_t n_published[MOMENTS];
 } Stepper;
 
-/* Counts of what changes sign from one look to the next: see chatter.py. */
+/* Outputs that are taken at `ticks`: values[done, :] = those that are chosen. */
 typedef struct {
-    size_t n;
-    Py_ssize_t every;
-    const double *middle, *threshold;
-    double *before, *sum, *sum_abs, *largest;
-    int64_t *counts;
-} Alternations;
+    const int64_t *ticks;
+    size_t n_ticks, n;
+    const Py_ssize_t *chosen;
+    double *values;
+    int64_t *done;
+} Clock;
+
+/* Outputs that are fed back: see bursts.py. */
+typedef struct {
+    size_t n, n_clocks, n_runs;
+    const Py_ssize_t *kinds, *places;
+    double *squares;
+    Run *runs; /* of real outputs, from the table to `squares`; the others follow in `kinds` and `places` */
+    size_t n_reals;
+    Clock *clocks;
+} Bursts;
 
 typedef struct {
     PyObject_HEAD
@@ -121,7 +131,7 @@ typedef struct {
     size_t n_reals, n_float32; /* of the tables, outputs */
     const Py_ssize_t *recorded[KINDS];
     size_t n_recorded[KINDS];
-    Alternations alternations;
+    Bursts bursts;
     double *seconds; /* (steppers, 3): of set, step and get in timed steps */
     int64_t *samples;
     Py_ssize_t sample_every, stride;
@@ -254,22 +264,26 @@ static void add_times(const Loop *self, size_t stepper, const double *marks) {
     self->samples[stepper]++;
 }
 
-static void compare(const Alternations *a, const double *table) {
-    for (size_t i = 0; i < a->n; i++) {
-        double value = a->middle ? table[i] - a->middle[i] : table[i];
-        double product = value * a->before[i], size = fabs(product);
-        a->counts[i] += product < a->threshold[i];
-        a->sum[i] += product;
-        a->sum_abs[i] += size;
-        a->largest[i] = size > a->largest[i] ? size : a->largest[i];
+/* tick: that has ended. */
+static void look(const Bursts *b, void *const *tables, int64_t tick) {
+    for (const Run *run = b->runs, *end = run + b->n_runs; run < end; run++) {
+        const double *values = (const double *)tables[REAL] + run->source;
+        double *restrict squares = b->squares + run->target;
+        for (size_t i = 0; i < run->n; i++) squares[i] += values[i] * values[i];
     }
-}
-
-/* phase: of the tick that has ended, 1 to `every`. */
-static void look(const Alternations *a, const double *table, Py_ssize_t phase) {
-    if (phase == 1) compare(a, table);
-    if (phase == a->every)
-        for (size_t i = 0; i < a->n; i++) a->before[i] = a->middle ? table[i] - a->middle[i] : table[i];
+    for (size_t i = b->n_reals; i < b->n; i++) {
+        double value = load(tables[b->kinds[i]], b->places[i], b->kinds[i]);
+        b->squares[i] += value * value;
+    }
+    for (const Clock *c = b->clocks, *end = c + b->n_clocks; c < end; c++) {
+        size_t done = (size_t)*c->done;
+        if (done == c->n_ticks || c->ticks[done] != tick) continue;
+        for (size_t i = 0; i < c->n; i++) {
+            Py_ssize_t place = c->chosen[i];
+            c->values[done * c->n + i] = load(tables[b->kinds[place]], b->places[place], b->kinds[place]);
+        }
+        ++*c->done;
+    }
 }
 
 /* The first stepper that has given a value that is not finite. */
@@ -285,7 +299,6 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
                           void *rows[KINDS], Py_ssize_t *failed, int *status) {
     double deadline = now() + patience, marks[4];
     size_t row = 0;
-    Py_ssize_t phase = first % self->alternations.every;
     Py_ssize_t next_row = (first / self->stride + 1) * self->stride;
     Py_ssize_t next_sample = (first + self->sample_every - 1) / self->sample_every * self->sample_every;
     for (Py_ssize_t k = first; k < last; k++) {
@@ -313,8 +326,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             if (m->period == 1 || k % m->period == 0) publish_all(self, m, TICK_END);
             if (m->period == 1 || (k + 1) % m->period == 0) publish_all(self, m, PERIOD_END);
         }
-        phase = phase == self->alternations.every ? 1 : phase + 1;
-        look(&self->alternations, self->tables[REAL], phase);
+        look(&self->bursts, self->tables, k + 1);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
                 size_t n = self->n_recorded[kind], size = size_of(kind);
@@ -433,20 +445,38 @@ static int memories_of(PyObject *tuple, int positions, void *memory[KINDS], size
     return 0;
 }
 
-#define ALTERNATIONS_FIELDS "every before middle threshold counts sum sum_abs largest"
-#define ALTERNATIONS_FORMAT "nOOOOOOO"
-static int parse_alternations(PyObject *tuple, Alternations *a) {
-    PyObject *before, *middle, *threshold, *counts, *sum, *sum_abs, *largest;
-    if (!PyArg_ParseTuple(tuple, ALTERNATIONS_FORMAT, &a->every, &before, &middle, &threshold, &counts, &sum, &sum_abs,
-                          &largest))
-        return -1;
-    if (!(a->before = memory_of(before, sizeof(double), &a->n))) return -1;
-    if (middle != Py_None && !(a->middle = memory_of(middle, sizeof(double), NULL))) return -1;
-    if (!(a->threshold = memory_of(threshold, sizeof(double), NULL))) return -1;
-    if (!(a->counts = memory_of(counts, sizeof(int64_t), NULL))) return -1;
-    if (!(a->sum = memory_of(sum, sizeof(double), NULL))) return -1;
-    if (!(a->sum_abs = memory_of(sum_abs, sizeof(double), NULL))) return -1;
-    if (!(a->largest = memory_of(largest, sizeof(double), NULL))) return -1;
+#define CLOCK_FIELDS "ticks chosen values done"
+#define CLOCK_FORMAT "OOOO"
+static int parse_clock(PyObject *tuple, Clock *c) {
+    PyObject *ticks, *chosen, *values, *done;
+    if (!PyArg_ParseTuple(tuple, CLOCK_FORMAT, &ticks, &chosen, &values, &done)) return -1;
+    if (!(c->ticks = memory_of(ticks, sizeof(int64_t), &c->n_ticks))) return -1;
+    if (!(c->chosen = memory_of(chosen, sizeof(Py_ssize_t), &c->n))) return -1;
+    if (!(c->values = memory_of(values, sizeof(double), NULL))) return -1;
+    if (!(c->done = memory_of(done, sizeof(int64_t), NULL))) return -1;
+    return 0;
+}
+
+#define BURSTS_FIELDS "kinds places squares clocks"
+#define BURSTS_FORMAT "OOOO!"
+static int parse_bursts(PyObject *tuple, Bursts *b) {
+    PyObject *kinds, *places, *squares, *clocks;
+    if (!PyArg_ParseTuple(tuple, BURSTS_FORMAT, &kinds, &places, &squares, &PyList_Type, &clocks)) return -1;
+    if (!(b->kinds = memory_of(kinds, sizeof(Py_ssize_t), &b->n))) return -1;
+    if (!(b->places = memory_of(places, sizeof(Py_ssize_t), NULL))) return -1;
+    if (!(b->squares = memory_of(squares, sizeof(double), NULL))) return -1;
+    b->runs = calloc(b->n + 1, sizeof *b->runs);
+    if (!b->runs) return PyErr_NoMemory(), -1;
+    for (; b->n_reals < b->n && b->kinds[b->n_reals] == REAL; b->n_reals++) {
+        size_t i = b->n_reals;
+        if (i && b->places[i] == b->places[i - 1] + 1) b->runs[b->n_runs - 1].n++;
+        else b->runs[b->n_runs++] = (Run){(size_t)b->places[i], i, 1};
+    }
+    b->n_clocks = (size_t)PyList_Size(clocks);
+    b->clocks = calloc(b->n_clocks + 1, sizeof *b->clocks);
+    if (!b->clocks) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < b->n_clocks; i++)
+        if (parse_clock(PyList_GetItem(clocks, (Py_ssize_t)i), &b->clocks[i]) < 0) return -1;
     return 0;
 }
 
@@ -460,6 +490,8 @@ static void loop_dealloc(Loop *self) {
     }
     free(self->steppers);
     free(self->late);
+    free(self->bursts.runs);
+    free(self->bursts.clocks);
     Py_XDECREF(self->program);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
@@ -479,24 +511,24 @@ static int is_staged(const Loop *self, const Call *c) {
 }
 
 #define PROGRAM_FIELDS                                                                                                 \
-    "steppers tables computed recorded alternations seconds samples sample_every interrupt stride holds_lock "         \
+    "steppers tables computed recorded bursts seconds samples sample_every interrupt stride holds_lock "         \
     "records_inputs"
 #define PROGRAM_FORMAT "O!O!(nn)O!O!OOnOnpp"
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
-    PyObject *program, *steppers, *tables, *recorded, *alternations, *seconds, *samples, *interrupt;
+    PyObject *program, *steppers, *tables, *recorded, *bursts, *seconds, *samples, *interrupt;
     void *places[KINDS];
     if (self->program) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
     if (!PyArg_ParseTuple(arguments, "O!", &PyTuple_Type, &program)) return -1;
     if (!PyArg_ParseTuple(program, PROGRAM_FORMAT, &PyList_Type, &steppers, &PyTuple_Type, &tables, &self->n_reals,
-                          &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &alternations, &seconds, &samples,
+                          &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &bursts, &seconds, &samples,
                           &self->sample_every, &interrupt, &self->stride, &self->holds_lock, &self->records_inputs))
         return -1;
     self->program = Py_NewRef(program);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
         return -1;
     for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
-    if (parse_alternations(alternations, &self->alternations) < 0) return -1;
+    if (parse_bursts(bursts, &self->bursts) < 0) return -1;
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
@@ -559,9 +591,9 @@ static PyType_Spec loop_spec = {"orchestrator.simulation._loop.Loop", sizeof(Loo
 
 /* What program.layout() must agree with. */
 static PyObject *layout_of(void) {
-    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
+    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
                          STEPPER_FIELDS, "CallProgram", CALL_FIELDS, "PublicationProgram", PUBLICATION_FIELDS,
-                         "AlternationsProgram", ALTERNATIONS_FIELDS, "Conversion", CONVERSION_FIELDS, "kinds",
+                         "BurstsProgram", BURSTS_FIELDS, "ClockProgram", CLOCK_FIELDS, "Conversion", CONVERSION_FIELDS, "kinds",
                          EACH_KIND(NAME), "moments", MOMENT_NAMES, "NOT_FINITE",
                          PyUnicode_FromFormat("%d", NOT_FINITE));
 }

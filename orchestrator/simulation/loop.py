@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import Table, Tables
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS
 from ..instances.instance import Call
-from .chatter import Alternations
+from .bursts import Bursts
 from .observer import Block, Interrupt
 from .program import NOT_FINITE, layout, program_of
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Stepper
@@ -84,13 +84,13 @@ class Loop(ABC):
             self._rows.add(self.ticks)
 
 
-def choose(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Loop:
+def choose(system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt) -> Loop:
     """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
     loop = compiled()
     objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
     if loop is None or objects:
-        return InterpretedLoop(system, alternations, timing, interrupt)
-    return CompiledLoop(loop, system, alternations, timing, interrupt)
+        return InterpretedLoop(system, bursts, timing, interrupt)
+    return CompiledLoop(loop, system, bursts, timing, interrupt)
 
 
 def compiled() -> type[_loop.Loop] | None:
@@ -125,9 +125,9 @@ def _extension() -> ModuleType | None:
 class InterpretedLoop(Loop):
     name = "python"
 
-    def __init__(self, system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt):
+    def __init__(self, system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt):
         super().__init__(system)
-        self._alternations, self._timing, self._interrupt = alternations, timing, interrupt
+        self._bursts, self._timing, self._interrupt = bursts, timing, interrupt
         self._steppers = [
             (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
             for number, stepper in enumerate(system.steppers)
@@ -183,7 +183,7 @@ class InterpretedLoop(Loop):
                     for stepper in self._system.steppers:
                         stepper.check_finite()
             self.ticks = k + 1
-            self._alternations.look(self.ticks)
+            self._bursts.look(self.ticks)
             if self.ticks % stride == 0:
                 self._rows.add(self.ticks)
 
@@ -197,12 +197,12 @@ class CompiledLoop(Loop):
         self,
         loop: type[_loop.Loop],
         system: System,
-        alternations: Alternations,
+        bursts: Bursts,
         timing: Timing,
         interrupt: Interrupt,
     ):
         super().__init__(system)
-        self._loop = loop(program_of(system, alternations, timing, interrupt))
+        self._loop = loop(program_of(system, bursts, timing, interrupt))
 
     def advance(self, last: int, patience: float) -> None:
         first, stride = self.ticks, self._system.plan.stride

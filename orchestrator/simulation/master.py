@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 
 from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
-from .chatter import Alternations
+from .bursts import Bursts
 from .initialization import AlgebraicLoop, initialize
 from .loop import Loop, choose, out_of_date
 from .observer import Interrupt, Observer, Outcome
@@ -36,10 +36,12 @@ def run(
     observers: Sequence[Observer],
     interrupt: Interrupt | None = None,
     begin: Callable[[System], list[str]] = initialize,
+    bursts: Bursts | None = None,
 ) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set.
 
     begin: brings the system to the values of its first row and returns warnings; it may raise what `initialize` does.
+    bursts: of the system, filled on the way.
     """
     outcome, interrupt = Outcome(status="completed", ticks=system.plan.first), interrupt or Interrupt()
     try:
@@ -48,7 +50,7 @@ def run(
         outcome.calculated = system.calculated()
         for observer in observers:
             observer.opened(system.view)
-        _step_all(system, observers, outcome, interrupt)
+        _step_all(system, observers, outcome, interrupt, bursts or Bursts(system))
     except ComponentFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
     except AlgebraicLoop as loop:
@@ -85,10 +87,11 @@ def _fail(system: System, outcome: Outcome, failure: ComponentFailed, interrupt:
     outcome.last_inputs = failure.stepper.last_inputs()
 
 
-def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt) -> None:
-    alternations = Alternations(system)
+def _step_all(
+    system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt, bursts: Bursts
+) -> None:
     timing = Timing([component.period for component in system.plan.components])
-    loop = choose(system, alternations, timing, interrupt)
+    loop = choose(system, bursts, timing, interrupt)
     if message := out_of_date():
         outcome.warnings.append(message)
     _hand_over(loop, observers)
@@ -116,12 +119,12 @@ def _step_all(system: System, observers: Sequence[Observer], outcome: Outcome, i
                 observer.progress(loop.ticks)
     finally:  # also of a run that fails, or that an FMU ends
         timing.stepping = time.perf_counter() - began
+        bursts.last = loop.ticks
         outcome.timing = timing.summary(
             [component.name for component in system.plan.components], loop.ticks - first, loop.name
         )
         for observer in observers:
             outcome.timing |= observer.facts()
-        outcome.warnings += alternations.warnings(loop.ticks - first)
     if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"

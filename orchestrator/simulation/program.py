@@ -13,7 +13,7 @@ import numpy as np
 from ..arrays import Places, Reals, References, Table, Truths
 from ..fmu.variables import FLOATS, NUMBERS
 from ..instances.instance import Verb, references_of
-from .chatter import Alternations, AlternationsProgram
+from .bursts import Bursts, BurstsProgram, ClockProgram
 from .observer import Interrupt
 from .stepper import Getter, Moment, Setter, Stepper
 from .system import System
@@ -65,7 +65,7 @@ class Program(NamedTuple):
     tables: tuple[Table, ...]  # of each kind
     computed: tuple[int, ...]  # how many values of the tables of FLOATS are outputs
     recorded: tuple[Places, ...]  # of each kind
-    alternations: AlternationsProgram
+    bursts: BurstsProgram
     seconds: Reals  # (steppers, 3), see Timing
     samples: Table  # (steppers,) int64
     sample_every: int  # ticks
@@ -75,7 +75,7 @@ class Program(NamedTuple):
     records_inputs: bool
 
 
-def program_of(system: System, alternations: Alternations, timing: Timing, interrupt: Interrupt) -> Program:
+def program_of(system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt) -> Program:
     """The program of an opened system.  The system must stay open while it is used."""
     plan = system.plan
     return Program(
@@ -83,7 +83,7 @@ def program_of(system: System, alternations: Alternations, timing: Timing, inter
         tables=tuple(system.tables[kind] for kind in NUMBERS),
         computed=tuple(system.computed[kind] for kind in FLOATS),
         recorded=tuple(system.recorded[kind] for kind in NUMBERS),
-        alternations=alternations.program(),
+        bursts=bursts.program(),
         seconds=timing.seconds,
         samples=timing.samples,
         sample_every=EVERY,
@@ -136,7 +136,7 @@ def _call(stepper: Stepper, verb: Verb, call: Setter | Getter) -> CallProgram:
 
 def layout() -> dict[str, str]:
     """Fields, kinds and moments in the order of this side, as LAYOUT of `_loop.c`."""
-    records = (Program, StepperProgram, CallProgram, PublicationProgram, AlternationsProgram)
+    records = (Program, StepperProgram, CallProgram, PublicationProgram, BurstsProgram, ClockProgram)
     return {
         **{record.__name__: " ".join(record._fields) for record in records},
         "Conversion": " ".join(CONVERSION.names or ()),

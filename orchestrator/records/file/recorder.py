@@ -89,11 +89,13 @@ class Recorder(Observer):
         for spec in specs:
             self._specs.setdefault(spec.kind, []).append(spec)
         self._began = self._flushed = time.monotonic()
+        self._ended: float | None = None  # when the last row was on disk
 
     def rows(self, block: Block) -> None:
         if block.ticks[0] == self._plan.first:
             self._began = time.monotonic()
         self._waiting.append(block)
+        self._ended = None
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
             self.flush()
 
@@ -105,8 +107,12 @@ class Recorder(Observer):
         """Write the rows that wait: first every signal, then, when those are on disk, the times."""
         blocks, self._waiting = self._waiting, []
         self._flushed = time.monotonic()
-        if not blocks:
-            return
+        if blocks:
+            self._write(blocks)
+        if self._ended is None:
+            self._ended = time.monotonic()
+
+    def _write(self, blocks: Sequence[Block]) -> None:
         ticks = [tick for block in blocks for tick in block.ticks]
         first, last = self._rows, self._rows + len(ticks)
         with self._reserved.writing(self._size(self._datasets, last, blocks)):
@@ -153,7 +159,7 @@ class Recorder(Observer):
     def _conclude(self) -> None:
         """Write how the run ended."""
         outcome, grid = self.outcome, self._plan.experiment.grid
-        self.wall_time = time.monotonic() - self._began
+        self.wall_time = (self._ended or time.monotonic()) - self._began
         simulated = grid.time(outcome.ticks) - grid.time(self._plan.first)
         self.real_time_factor = simulated / self.wall_time if self.wall_time else math.inf
         known: dict[str, str | float] = {

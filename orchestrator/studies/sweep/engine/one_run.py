@@ -14,6 +14,8 @@ from ....arrays import Reals, Table, Tables
 from ....plan.plan import Plan
 from ....records.file.format import ID_LENGTH
 from ....records.file.recorder import Recorder, writing
+from ....runs import half_step
+from ....simulation.bursts import Bursts
 from ....simulation.master import run as run_master
 from ....simulation.observer import Block, Interrupt, Observer
 from ....simulation.system import FmuSource, System
@@ -39,7 +41,10 @@ def perform(
         writing(path, kept, plan.digest[:ID_LENGTH], facts=known, signals=signals) as record,
     ):
         writers: list[Observer] = [] if keep == "metrics" else [_EveryNth(record, plan, kept)]
-        record.outcome = run_master(system, [signals, *writers], interrupt)
+        bursts = Bursts(system)
+        record.outcome = run_master(system, [signals, *writers], interrupt, bursts=bursts)
+        record.flush()
+        half_step.judge(plan, record.outcome, bursts, interrupt, source)
     return record
 
 
