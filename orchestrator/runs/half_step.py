@@ -181,7 +181,8 @@ def _unstable(plan: Plan, shorter: Shorter, fast: Sequence[Suspect], sampled: bo
         )
         return Warned(text, Kind.UNSTABLE)
     loop = bursts.outputs[output].loop
-    period, name = max((o.period, o.component) for o in bursts.outputs if o.loop == loop)
+    slowest = max((o for o in bursts.outputs if o.loop == loop), key=lambda o: (o.period, o.command))
+    period, name = slowest.period, slowest.component
     text = (
         f"{head} because {name} steps every {period * step:g} s, and a smaller master.step would not change that; "
         f"where {name} is not meant to be sampled so slowly, shorten components.{name}.step"

@@ -113,6 +113,8 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
             f"  paced at {pacing['factor']:g}x real time: {mean:.3g} ms late on average, "
             f"{worst:.3g} ms at worst, {end:.3g} ms at the end"
         )
+    if comparison := timing.get("comparison"):
+        lines.append(f"  compared with {comparison['steps']} shorter steps afterwards: {comparison['seconds']:.3g} s")
     return lines
 
 
