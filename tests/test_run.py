@@ -320,7 +320,7 @@ import orchestrator
 from orchestrator.records.file import access
 
 looks = itertools.count()
-access.is_locked = lambda path: next(looks) > 1  # the other process locks it after the second look
+access.is_locked = lambda path: next(looks) > 2  # the other process locks it after the third look
 try:
     orchestrator.run({str(path)!r})
 except orchestrator.StoreError as error:
