@@ -134,7 +134,8 @@ class Recorder(Observer):
         self.flush()
         self._conclude()
         if self.outcome.status == "completed":
-            self.metrics = metrics.evaluate(signals or Run(self.path, self._file), self._plan.experiment.metrics)
+            rows = Run(self.path, self._file) if signals is None else signals
+            self.metrics = metrics.evaluate(rows, self._plan.experiment.metrics)
         self._close()
 
     def give_up(self, error: StoreError) -> None:
