@@ -9,27 +9,31 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import orchestrator
 from orchestrator.errors import OrchError
 from orchestrator.studies import processes
 from orchestrator.studies.thesis import reproduce
+from orchestrator.studies.thesis.cases import signals as thesis_signals
 from orchestrator.studies.thesis.cases.chapter5 import CASES
+from orchestrator.studies.thesis.cases.extremes import extremes, extremes_of, pair_extremes
 from orchestrator.studies.thesis.cases.signals import Track, body_velocity, rotation
 from orchestrator.studies.thesis.pages import index as thesis_page
 from orchestrator.studies.thesis.pages.drawing import KINDS, canvas
 from orchestrator.studies.thesis.pages.figures import FIGURES
-from orchestrator.studies.thesis.published import claims_gripping
+from orchestrator.studies.thesis.published import claims_gripping, claims_spiral
 from orchestrator.studies.thesis.published import steps as thesis_steps
 from orchestrator.studies.thesis.published import tables as thesis_tables
-from orchestrator.studies.thesis.published.claims import FAILS, HOLDS
+from orchestrator.studies.thesis.published.claims import ABOUT, ANGLE, BAND, FAILS, HOLDS, PARTLY
 from orchestrator.studies.thesis.published.outcome import Reproduction
 from orchestrator.studies.thesis.published.tables import Verdict, judge, metric_name, published
 
+ROOT = Path(__file__).parent.parent
 CELLS = [cell for cell in published() if cell.quantity != "mean"]
 MEANS = [cell for cell in published() if cell.quantity == "mean"]
 AS_PUBLISHED = {
@@ -241,7 +245,7 @@ def still(offset=(0.0,) * 6, psi_d=0.0, start=(1.0, 1.0, 1.0, 0.0, 0.0, 1.0)):
         time=time,
         eta=eta_d + left * np.array(start) + (1 - left) * np.array(offset),
         eta_d=eta_d,
-        nu=zero,
+        nu=left * np.ones(6),
         nu_d=zero,
         tau=zero,
         u=zero,
@@ -281,10 +285,16 @@ def test_the_body_velocity_is_the_inverse_of_the_jacobian():
 # --- claims
 
 
+def beside(offset=(0.0,) * 6):
+    """Vehicle 2, whose set point is 0.5 m away."""
+    track, shift = still(np.array(offset), psi_d=180.0), np.array((0, 0.5, 0, 0, 0, 0))
+    return replace(track, eta=track.eta + shift, eta_d=track.eta_d + shift)
+
+
 def pairs(**changed):
     """Two vehicles 0.5 m and 180 degrees apart in every gripping case.  changed: {controller: offset of vehicle 2}."""
     return {
-        name: (still(), still(np.add((0, 0.5, 0, 0, 0, 0), changed.get(case.controller, 0.0)), psi_d=180.0))
+        name: pair_extremes(still(), beside(changed.get(case.controller, (0.0,) * 6)), 10)
         for name, case in CASES.items()
         if case.task == "gripping"
     }
@@ -304,10 +314,86 @@ def test_a_pair_that_does_not_hold_its_object_fails_the_gate(offset, text):
     assert [claim.verdict for claim in good] == [HOLDS] * 4
 
 
+def spirals(**changed):
+    """A vehicle that converges in every spiral case.  changed: {case: its track}."""
+    return {name: extremes(changed.get(name, still()), 10) for name, case in CASES.items() if case.task == "spiral"}
+
+
+def claim(claims, text, section=None):
+    (one,) = (c for c in claims if text in c.text and section in (None, c.section))
+    return one
+
+
 def test_claims_point_to_figures_that_exist():
-    for claim in claims_gripping.claims(pairs()):
+    for claim in [*claims_gripping.claims(pairs()), *claims_spiral.claims(spirals(), judge(AS_PUBLISHED))]:
         assert claim.figures
-        assert set(claim.figures) <= set(FIGURES)
+        assert {figure for figure in claim.figures if not figure.startswith("Table")} <= set(FIGURES)
+
+
+def test_one_saturated_step_between_two_rows_is_seen():
+    def judged(u):
+        track = still()
+        track.u[7, 2] = u  # not the tenth, which a row would keep
+        return claim(
+            claims_spiral.claims(spirals(thesis_spiral_mfsosmc_5=track), judge(AS_PUBLISHED)), "out of saturation"
+        )
+
+    assert judged(0.99).verdict == HOLDS
+    assert judged(-1.0).verdict == FAILS
+    assert "5 s: saturated in 1 steps, last at 0.10 s" in judged(-1.0).ours
+
+
+@pytest.mark.parametrize("controller", ["mfsosmc", "nstsmc", "ftsosmc"])
+@pytest.mark.parametrize(("part", "holds"), [(0.009, True), (0.011, False)])
+def test_every_controller_has_converged_within_one_percent_and_no_other_band(controller, part, holds):
+    of = pairs()
+    one = still(part * np.array((1.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
+    of[f"thesis_gripping_{controller}"] = pair_extremes(one, beside(), 10)
+    claims = claims_gripping.claims(of)
+    name = {"mfsosmc": "MFSOSMC", "nstsmc": "NSTSMC", "ftsosmc": "FTSOSMC"}[controller]
+    converges = claim([c for c in claims if c.section == "5.3"], f"{name} converges")
+    assert converges.verdict == (HOLDS if holds else PARTLY)
+    assert (claim(claims, "All three controllers", "5.3").verdict == HOLDS) is holds
+
+
+def test_near_zero_begins_when_the_thesis_says_and_phi_counts():
+    late, rolled = still(), still()
+    late.eta[800:900, 0] += 0.02  # from 8 s to 9 s, before the object is gripped
+    rolled.eta[3500, 3] += 0.3  # on the way home
+    for track, figures in ((late, ("x1", "2 %")), (rolled, ("phi1", "0.3 deg"))):
+        of = pairs()
+        of["thesis_gripping_ftsosmc"] = pair_extremes(track, beside(), 10)
+        kept = claim(claims_gripping.claims(of), "All three controllers", "5.3")
+        assert kept.verdict == PARTLY
+        assert all(figure in kept.ours for figure in figures), kept.ours
+    of["thesis_gripping_ftsosmc_currents"] = pair_extremes(rolled, beside(), 10)
+    assert claim(claims_gripping.claims(of), "keep phi and psi at 0").verdict == PARTLY
+
+
+def test_theta_is_judged_over_the_whole_task():
+    track = still()
+    track.eta[3990, 4] = 1.5  # at 39.9 s
+    of = pairs() | {"thesis_gripping_mfsosmc": pair_extremes(track, beside(), 10)}
+    theta = claim(claims_gripping.claims(of), "theta stays within 1 deg")
+    assert (theta.verdict, theta.gated) == (PARTLY, False)
+    assert "1.50 and 0.00 deg over the whole task" in theta.ours
+
+
+def test_docs_and_claims_have_the_same_yardstick():
+    text = " ".join((ROOT / "docs" / "thesis.md").read_text(encoding="utf-8").split())
+    assert f"at most {BAND:.0%}".replace("%", " %") in text
+    assert f"at most {ANGLE:g} degrees" in text
+    assert f"within {ABOUT:.0%}".replace("%", " %") in text
+
+
+@pytest.mark.slow
+def test_extremes_taken_while_a_case_runs_are_those_of_all_its_steps(tmp_path):
+    case = CASES["thesis_spiral_pid"]
+    found = extremes_of([case], tmp_path / "of", lambda message: None)[case.name]
+    with orchestrator.run(case.path, {"record.every": 1e-3}, results=tmp_path) as run:
+        expected = extremes(thesis_signals.track(run), 10)
+    for field in fields(expected):
+        assert np.array_equal(getattr(found, field.name), getattr(expected, field.name)), field.name
 
 
 # --- what to do

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from ...errors import OrchError, StoreError
 from ...files import write_text
-from ...records.file.run import Run
-from .cases import signals as thesis_signals
-from .cases.chapter5 import CASES, Case, grippings, spirals
+from .cases.chapter5 import CASES, Case, spirals
+from .cases.extremes import extremes_of
 from .cases.runs import CaseRecord, Report, run_cases
 from .pages import index, summary
 from .pages.figures import FIGURES
@@ -26,6 +25,7 @@ from .published.outcome import Reproduction
 from .published.tables import CAPTIONS
 
 FOLDER = "_thesis"
+EVERY_STEP = "every_step"  # in it
 FORMS = {"md": thesis_tables.markdown, "csv": thesis_tables.csv_text, "tex": thesis_tables.latex}
 
 
@@ -68,7 +68,7 @@ def reproduce(
     split = len(records) - (len(thesis_steps.cases()) if selection.study else 0)
     main, studied = records[:split], records[split:]
     verdicts = [v for v in thesis_tables.judge(_metrics(main)) if v.cell.table in selection.tables]
-    claims = _claims(main) if selection.claims else []
+    claims = _claims(main, folder / EVERY_STEP, report) if selection.claims else []
     study = thesis_steps.rows([record.metrics for record in studied]) if studied else []
     drawn = redraw(folder / "figures", selection.figures, main, study, report)
     outside = [v.sentence() for v in verdicts if v.met is False] + [c.sentence() for c in claims if c.fails]
@@ -115,16 +115,11 @@ def _metrics(records: Iterable[CaseRecord]) -> dict[str, Mapping[str, float]]:
     return {record.case.name: record.metrics for record in records}
 
 
-def _claims(records: Sequence[CaseRecord]) -> list[Claim]:
-    paths = {record.case.name: record.path for record in records}
-    alone, pairs = {}, {}
-    for case in [*spirals(False), *spirals(True)]:
-        with Run(paths[case.name]) as run:
-            alone[case.name] = thesis_signals.track(run)
-    for case in [*grippings(False), *grippings(True)]:
-        with Run(paths[case.name]) as run:
-            pairs[case.name] = (thesis_signals.track(run, "1"), thesis_signals.track(run, "2"))
-    return claims_spiral.claims(alone, thesis_tables.judge(_metrics(records))) + claims_gripping.claims(pairs)
+def _claims(records: Sequence[CaseRecord], folder: Path, report: Report) -> list[Claim]:
+    """All claims, judged at every step.  folder: of what the runs reach in their steps."""
+    of = extremes_of([record.case for record in records], folder, report)
+    verdicts = thesis_tables.judge(_metrics(records))
+    return claims_spiral.claims(of, verdicts) + claims_gripping.claims(of)
 
 
 def _write(reproduction: Reproduction, selection: Selection) -> None:

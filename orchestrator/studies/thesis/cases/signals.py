@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from ....records.file.run import Run
-
 Array = NDArray[np.float64]
 DEGREES = np.array([1.0, 1.0, 1.0, 180 / math.pi, 180 / math.pi, 180 / math.pi])
 AXES = ("x", "y", "z", "phi", "theta", "psi")
+
+
+class Vectors(Protocol):
+    """A record, or rows that are still in memory."""
+
+    @property
+    def time(self) -> Array:
+        """(N,) [s]."""
+
+    def __getitem__(self, name: str) -> Any:
+        """(N, 6) of a vector such as "vehicle1.eta"."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +48,7 @@ class Track:
         return column
 
 
-def track(run: Run, number: str = "") -> Track:
+def track(run: Vectors, number: str = "") -> Track:
     """The signals of the vehicle with that number; "" is the spiral's only one."""
     eta, eta_d_dot = run[f"vehicle{number}.eta"], run[f"reference{number}.eta_d_dot"]
     return Track(

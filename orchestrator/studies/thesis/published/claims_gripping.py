@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from .... import metrics
 from ..cases.chapter5 import LABELS, case_name
-from ..cases.signals import Array, Track, distance, heading_difference
-from .claims import Claim, listed, verdict
+from ..cases.extremes import PairExtremes
+from .claims import ANGLE, POSITIONS, Claim, converged, peak, settled, velocities, verdict
 
 CONTROLLERS = ("mfsosmc", "nstsmc", "ftsosmc")
-CONTROLLED = ("x", "y", "z", "phi", "psi")
-T_B = 6.0  # s
-SHARE = 0.05  # of the initial error: the usual band of a settling time
-LEVEL = 1.0  # deg, the band of phi, which starts at its desired value
+ATTITUDE = ("phi", "psi")
+CONTROLLED = (*POSITIONS, *ATTITUDE)
+TIMES = {"mfsosmc": (6.0, 6.0), "nstsmc": (2.18, 2.37), "ftsosmc": (5.0, 5.0)}  # s, of convergence as published
 HELD = (12.0, 24.0)  # s, from gripping to releasing
-FREE = 30.0  # s, until when the thesis bounds theta
-HEADING = {"mfsosmc": 0.2, "nstsmc": 0.5, "ftsosmc": 0.5}  # deg
-DISTANCE = 0.002  # m
+HOME = 30.0  # s, from when on the vehicles swim home: the end of the trajectory
+DISTANCE = 0.002  # m, what a grip gives way
+HEADING = 0.5  # deg, turns the front of a vehicle, 0.25 m from its middle, aside by as much
 
-Pairs = Mapping[str, tuple[Track, Track]]
+Pairs = Mapping[str, PairExtremes]
 
 
 def claims(pairs: Pairs) -> list[Claim]:
@@ -32,91 +30,89 @@ def _section(pairs: Pairs, currents: bool) -> list[Claim]:
     section, where = ("5.4", " in the current") if currents else ("5.3", "")
     runs = {controller: pairs[case_name("gripping", controller, currents)] for controller in CONTROLLERS}
     errors = tuple(f"5.{n}" for n in (range(74, 79) if currents else range(67, 72)))
-    found = [
+    claims = [
         _at_base(section, where, runs["mfsosmc"], errors if currents else ("5.57", "5.58", *errors)),
         *_settled(section, where, runs, errors),
-        _kept(section, where, runs, errors),
+        _kept(section, where, runs, errors[:3] if currents else errors, POSITIONS if currents else CONTROLLED),
         *_held(section, where, runs, ("5.79", "5.80") if currents else ("5.72", "5.73")),
     ]
-    return found + (_attitude(runs) if currents else _theta_and_velocity(runs))
+    return claims + (_attitude(runs) if currents else _theta_and_velocity(runs))
 
 
-def _at_base(section: str, where: str, pair: tuple[Track, Track], figures: tuple[str, ...]) -> Claim:
+def _at_base(section: str, where: str, pair: PairExtremes, figures: tuple[str, ...]) -> Claim:
     """MFSOSMC at 6 s, in every controlled axis of both vehicles."""
-    left = {}
-    for k, track in enumerate(pair, 1):
-        after = track.time >= T_B
-        for axis in CONTROLLED:
-            start = abs(track.of(axis)[0]) or 1.0  # phi starts at no error: in degrees
-            left[f"{axis}{k}"] = _peak(track.of(axis)[after]) / start
-    worst = max(left, key=lambda name: left[name])
+    after = TIMES["mfsosmc"][0]
+    kept = [ok for of in (pair.one, pair.two) for ok in converged(of, after, CONTROLLED).values()]
     return Claim(
         section=section,
-        text=f"MFSOSMC converges at t_b = 6 s in every controlled axis of both vehicles{where}",
+        text=f"MFSOSMC converges at t_b = 6 s in every controlled axis of both vehicles{where} and stays",
         figures=figures,
         published="error 0 from 6 s",
-        ours=f"at most {100 * left[worst]:.2g} % of the initial error left ({worst})",
-        verdict=verdict(left[worst] <= 0.005),
+        ours=_left(pair, (after, after), CONTROLLED),
+        verdict=verdict(*kept),
         gated=True,
     )
 
 
 def _settled(section: str, where: str, runs: Pairs, figures: tuple[str, ...]) -> list[Claim]:
     """Convergence times of the other two."""
-    found = []
-    for controller, limits in (("nstsmc", (2.18, 2.37)), ("ftsosmc", (5.0, 5.0))):
+    claims = []
+    for controller in ("nstsmc", "ftsosmc"):
         if where and controller == "nstsmc":
             continue  # section 5.4 gives it no time
-        times = [max(_settling(track, axis) for axis in CONTROLLED) for track in runs[controller]]
-        strict = [max(_settling(track, axis, 0.2) for axis in CONTROLLED) for track in runs[controller]]
-        parts = [time <= limit for time, limit in zip(times, limits, strict=True)]
-        published = f"{limits[0]:g} s, {limits[1]:g} s" + (" (without current)" if where else "")
-        found.append(
+        limits = TIMES[controller]
+        pair = runs[controller]
+        times = [{axis: settled(of, axis) for axis in CONTROLLED} for of in (pair.one, pair.two)]
+        claims.append(
             Claim(
                 section=section,
                 text=f"{LABELS[controller]} converges within {limits[0]:g} s (vehicle 1) and {limits[1]:g} s "
                 f"(vehicle 2){where}",
                 figures=figures,
-                published=published,
-                ours=f"within 5 % of the initial error (phi 1 deg) at {_times(times)}, within 1 % (0.2 deg) at "
-                f"{_times(strict)}",
-                verdict=verdict(*parts),
+                published=f"{limits[0]:g} s, {limits[1]:g} s" + (" (without current)" if where else ""),
+                ours="; ".join(f"vehicle {k}: {_times(of)}" for k, of in enumerate(times, 1)),
+                verdict=verdict(*(max(of.values()) <= limit for of, limit in zip(times, limits, strict=True))),
             )
         )
-    return found
+    return claims
 
 
-def _kept(section: str, where: str, runs: Pairs, figures: tuple[str, ...]) -> Claim:
-    """Errors near zero on the trajectory."""
-    rest = {
-        LABELS[controller]: 1e3 * max(_peak(track.error[track.time >= 12, :3]) for track in pair)
+def _kept(section: str, where: str, runs: Pairs, figures: tuple[str, ...], axes: tuple[str, ...]) -> Claim:
+    """Errors near zero from the published time of convergence to the end."""
+    kept = {
+        controller: all(
+            ok
+            for of, after in zip((pair.one, pair.two), TIMES[controller], strict=True)
+            for ok in converged(of, after, axes).values()
+        )
         for controller, pair in runs.items()
     }
     return Claim(
         section=section,
-        text=f"All three controllers keep the position error near zero along the whole trajectory{where}",
-        figures=figures[:3],
+        text=f"All three controllers keep the {'position error' if where else 'errors'} near zero from their time of "
+        f"convergence to the end{where}",
+        figures=figures,
         published="a vicinity of 0",
-        ours=f"largest after 12 s {listed(rest, '.2g', ' mm')}",
-        verdict=verdict(*(v < 10 for v in rest.values())),
+        ours="; ".join(f"{LABELS[c]}: {_left(pair, TIMES[c], axes)}" for c, pair in runs.items()),
+        verdict=verdict(*kept.values()),
     )
 
 
 def _held(section: str, where: str, runs: Pairs, figures: tuple[str, str]) -> list[Claim]:
     """Distance and heading difference while the object is held."""
-    found = []
-    for controller, (one, two) in runs.items():
-        window = (one.time >= HELD[0]) & (one.time <= HELD[1])
-        apart, turned = distance(one, two)[window], heading_difference(one, two)[window]
-        name, band = LABELS[controller], HEADING[controller]
-        found += [
+    claims = []
+    for controller, pair in runs.items():
+        window = (pair.one.time >= HELD[0]) & (pair.one.time <= HELD[1])
+        apart, turned = pair.distance[window], pair.heading[window]
+        name = LABELS[controller]
+        claims += [
             Claim(
                 section=section,
                 text=f"{name} keeps the vehicles 0.5 m apart from 12 s to 24 s{where}",
                 figures=figures[:1],
                 published="0.5 m",
                 ours=f"{apart.min():.4f} to {apart.max():.4f} m",
-                verdict=verdict(_peak(apart - 0.5) <= DISTANCE),
+                verdict=verdict(peak(apart - 0.5) <= DISTANCE),
                 gated=True,
             ),
             Claim(
@@ -125,94 +121,118 @@ def _held(section: str, where: str, runs: Pairs, figures: tuple[str, str]) -> li
                 figures=figures[1:],
                 published="180 deg",
                 ours=f"{turned.min():.3f} to {turned.max():.3f} deg",
-                verdict=verdict(_peak(turned - 180) <= band),
+                verdict=verdict(peak(turned - 180) <= HEADING),
                 gated=True,
             ),
         ]
-    return found
+    return claims
 
 
 def _theta_and_velocity(runs: Pairs) -> list[Claim]:
-    theta = {
-        LABELS[controller]: [_peak(track.eta[track.time <= FREE, 4]) for track in pair]
-        for controller, pair in runs.items()
-    }
-    end = [_peak(track.eta[:, 4]) for track in runs["mfsosmc"]]
+    theta = {LABELS[c]: [peak(of.eta[:, :, 4]) for of in (pair.one, pair.two)] for c, pair in runs.items()}
     one, two = theta.pop("MFSOSMC")
     others = "; ".join(f"{name} {a:.1f} and {b:.1f} deg" for name, (a, b) in theta.items())
-    after = runs["mfsosmc"][0].time >= T_B
-    off = [abs(track.nu - track.nu_d)[after] for track in runs["mfsosmc"]]
-    linear, angular = max(o[:, :3].max() for o in off), max(o[:, [3, 5]].max() for o in off)
+    vehicles = (runs["mfsosmc"].one, runs["mfsosmc"].two)
+    carried = [peak(of.eta[of.time <= HOME, :, 4]) for of in vehicles]
+    left = [velocities(of, TIMES["mfsosmc"][0]) for of in vehicles]
     return [
         Claim(
             section="5.3",
             text="Under MFSOSMC theta stays within 1 deg (vehicle 1) and 2 deg (vehicle 2)",
             figures=("5.59", "5.60"),
             published="+-1, +-2 deg",
-            ours=f"{one:.2f} and {two:.2f} deg until 30 s, on the way home {end[0]:.2f} and {end[1]:.2f} "
-            f"deg; until 30 s {others}",
+            ours=f"{one:.2f} and {two:.2f} deg over the whole task ({carried[0]:.2f} and {carried[1]:.2f} deg until "
+            f"the way home at 30 s); {others}",
             verdict=verdict(one <= 1, two <= 2),
-            gated=True,
         ),
         Claim(
             section="5.3",
             text="MFSOSMC's velocities have converged at 6 s",
             figures=("5.61", "5.62", "5.63", "5.64"),
             published="at 6 s",
-            ours=f"at most {linear:.2g} m/s and {angular:.2g} deg/s away from it on",
-            verdict=verdict(linear < 0.05, angular < 2),
+            ours="; ".join(f"vehicle {k}: {of.text}" for k, of in enumerate(left, 1)),
+            verdict=verdict(*(part for of in left for part in of.converged)),
         ),
         Claim(
             section="5.3",
             text="Headings are -90 and 90 deg from the start of the gripping",
             figures=("5.65", "5.66"),
             published="-90, 90 deg",
-            ours=", ".join(f"{track.eta[int(abs(track.time - 12).argmin()), 5]:.2f} deg" for track in runs["mfsosmc"]),
-            verdict=verdict(*(_peak(track.of("psi")[track.time >= 12]) < 0.1 for track in runs["mfsosmc"])),
+            ours=", ".join(
+                f"{of.eta[of.time >= HELD[0], 0, 5].min():.3f} to {of.eta[of.time >= HELD[0], 1, 5].max():.3f} deg"
+                for of in vehicles
+            ),
+            verdict=verdict(*(peak(of.of("psi")[of.time >= HELD[0]]) <= ANGLE for of in vehicles)),
         ),
     ]
 
 
 def _attitude(runs: Pairs) -> list[Claim]:
-    def worst(controller: str, axis: str, after: float, before: float = 40.0) -> float:
-        return max(_peak(t.of(axis)[(t.time >= after) & (t.time <= before)]) for t in runs[controller])
+    def worst(controller: str, axis: str, after: float, before: float = math.inf) -> float:
+        pair = runs[controller]
+        return max(peak(of.of(axis)[(of.time >= after) & (of.time <= before)]) for of in (pair.one, pair.two))
 
-    late = {LABELS[c]: worst(c, "psi", 30.0) for c in CONTROLLERS}
-    held = {LABELS[c]: worst(c, "psi", *HELD) for c in CONTROLLERS}
-    phi = {LABELS[c]: worst(c, "phi", 12.0) for c in CONTROLLERS}
-    theta = [_peak(track.eta[:, 4]) for track in runs["nstsmc"]]
+    nstsmc = runs["nstsmc"]
+    theta = peak(nstsmc.two.eta[:, :, 4])
+    grown = {axis: (worst("nstsmc", axis, HELD[0], HOME), worst("nstsmc", axis, HOME)) for axis in ATTITUDE}
+    kept = [
+        all(converged(of, TIMES[c][0], ATTITUDE)[axis] for of in (runs[c].one, runs[c].two))
+        for c in ("mfsosmc", "ftsosmc")
+        for axis in ATTITUDE
+    ]
     return [
         Claim(
             section="5.4",
             text="In the current NSTSMC's attitude degrades at the end",
             figures=("5.77", "5.78"),
-            published="they degrade",
-            ours=f"its psi error grows from {held['NSTSMC']:.2f} deg (12-24 s) to {late['NSTSMC']:.2f} deg "
-            f"(from 30 s); theta of vehicle 2 reaches {theta[1]:.0f} deg",
-            verdict=verdict(late["NSTSMC"] > 2 * held["NSTSMC"]),
+            published="phi and psi degrade",
+            ours="; ".join(
+                f"largest error of {axis} {before:.2g} deg from 12 to 30 s, {after:.2g} deg from 30 s"
+                for axis, (before, after) in grown.items()
+            )
+            + f"; theta of vehicle 2 reaches {theta:.0f} deg",
+            verdict=verdict(
+                *(
+                    after > before and not all(converged(of, HOME, ATTITUDE)[axis] for of in (nstsmc.one, nstsmc.two))
+                    for axis, (before, after) in grown.items()
+                )
+            ),
         ),
         Claim(
             section="5.4",
             text="In the current MFSOSMC and FTSOSMC keep phi and psi at 0 after convergence",
             figures=("5.77", "5.78"),
             published="0 deg",
-            ours=f"psi after 30 s {listed(late, '.2g', ' deg')}; phi after 12 s {listed(phi, '.2g', ' deg')}",
-            verdict=verdict(late["MFSOSMC"] < 0.1, late["FTSOSMC"] < 0.1),
+            ours="; ".join(f"{LABELS[c]}: {_left(runs[c], TIMES[c], ATTITUDE)}" for c in ("mfsosmc", "ftsosmc")),
+            verdict=verdict(*kept),
         ),
     ]
 
 
-def _settling(track: Track, axis: str, part: float = 1.0) -> float:
-    """When the error is within `part` of the band for good, until the object is gripped [s]."""
-    window = track.time <= HELD[0]
-    error = track.of(axis)[window]
-    band = (LEVEL if axis == "phi" else SHARE * abs(error[0])) * part
-    return metrics.settling_time(track.time[window], error, band)
+def _left(pair: PairExtremes, after: Iterable[float], axes: Iterable[str]) -> str:
+    """The worst of what is left of the errors from those times on, by kind."""
+    share, angle = {}, {}
+    for number, (of, start) in enumerate(zip((pair.one, pair.two), after, strict=True), 1):
+        for axis in axes:
+            error = of.of(axis)
+            rest = peak(error[of.time >= start])
+            if error[0]:
+                share[f"{axis}{number}"] = 100 * rest / float(error[0])
+            else:
+                angle[f"{axis}{number}"] = rest
+    parts = [
+        f"at most {worst[name]:.2g} {unit} ({name})"
+        for worst, unit in ((share, "% of the initial error"), (angle, "deg"))
+        if worst and (name := max(worst, key=lambda n: worst[n]))
+    ]
+    return ", ".join(parts)
 
 
-def _times(values: list[float]) -> str:
-    return " and ".join(f"{v:.2f} s" if math.isfinite(v) else "never" for v in values)
-
-
-def _peak(values: Array) -> float:
-    return float(abs(values).max())
+def _times(times: Mapping[str, float]) -> str:
+    """The last axis to settle, and the others where one never does."""
+    last = max(times, key=lambda axis: times[axis])
+    never = [axis for axis, time in times.items() if math.isinf(time)]
+    finite = {axis: time for axis, time in times.items() if math.isfinite(time)}
+    if not never:
+        return f"{times[last]:.2f} s ({last})"
+    return f"never in {', '.join(never)}" + (f", else {max(finite.values()):.2f} s" if finite else "")

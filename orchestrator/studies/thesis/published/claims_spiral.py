@@ -4,23 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from .... import metrics
 from ..cases.chapter5 import TIME_BASES, case_name, spirals
-from ..cases.signals import Array, Track
-from .claims import Claim, listed, verdict
+from ..cases.extremes import Extremes
+from ..cases.signals import AXES
+from .claims import (
+    ANGLE,
+    BAND,
+    POSITIONS,
+    SMOOTH,
+    Claim,
+    about,
+    band,
+    converged,
+    listed,
+    peak,
+    settled,
+    velocities,
+    verdict,
+)
 from .tables import Verdict
 
-POSITIONS = ("x", "y", "z")
 LINEAR, ANGULAR, CONTROL = ("5.2", "5.5"), ("5.3", "5.6"), ("5.4", "5.7")  # tables without and with current
 CLASSICAL = {"PID": "pid", "feedback linearization": "feedback_linearization", "Lyapunov": "lyapunov"}
-AT_BASE = 0.005  # share of the initial error that may be left when the time base has run out; delta leaves 0.001
-MARGIN = 0.2  # deg, likewise for angles, which start at zero error
+LAST_ROUND = 18.0  # s, from when on what is lasting shows: the spiral repeats itself every 12 s until 30 s
 
 
-def claims(tracks: Mapping[str, Track], verdicts: Sequence[Verdict]) -> list[Claim]:
+def claims(tracks: Mapping[str, Extremes], verdicts: Sequence[Verdict]) -> list[Claim]:
     """tracks: {case: what its vehicle did}.  verdicts: of all cells."""
     means = {(v.cell.table, v.cell.case): v.ours for v in verdicts if v.cell.quantity == "mean"}
 
@@ -39,45 +48,49 @@ def claims(tracks: Mapping[str, Track], verdicts: Sequence[Verdict]) -> list[Cla
     ]
 
 
-def _pid(pid: Track) -> list[Claim]:
-    beyond = {a: metrics.overshoot(pid.time, pid.of(a)) for a in POSITIONS}
-    after = pid.time >= 15.0
-    rest = {a: 1e3 * _rms(pid.of(a)[after]) for a in POSITIONS}
-    early, late = _peak(pid.u[pid.time <= 3.0]), _peak(pid.u[pid.time >= 10.0])
+def _pid(pid: Extremes) -> list[Claim]:
+    beyond = {a: _overshoot(pid, a) for a in POSITIONS}
+    rest, lasting = _lasting(pid)
+    arrived = max(float(pid.time[(pid.of(a) <= band(pid.of(a))).argmax()]) for a in POSITIONS)
+    later = pid.time >= arrived
+    early, late = peak(pid.u[~later]), peak(pid.u[later])
     return [
         Claim(
             section="5.1.1",
-            text="PID overshoots in every axis but psi, which starts at its desired value",
+            text="PID overshoots in x, y, z and phi, not in psi, which starts at its desired value",
             figures=("5.1", "5.2"),
             published="overshoot, no number",
-            ours=listed(beyond, ".0f", " %"),
-            verdict=verdict(*(v > 5 for v in beyond.values())),
+            ours=f"{listed(beyond, '.0f', ' %')}, phi {peak(pid.of('phi')):.2f} deg, psi {peak(pid.of('psi')):.2f} deg",
+            verdict=verdict(
+                *(v > 100 * BAND for v in beyond.values()), peak(pid.of("phi")) > ANGLE, peak(pid.of("psi")) <= ANGLE
+            ),
         ),
         Claim(
             section="5.1.1",
             text="PID never brings the errors to zero",
-            figures=("5.5", "5.43"),
+            figures=("5.5", "5.43", "5.44", "5.45"),
             published="a small error remains",
-            ours=f"RMS after 15 s {listed(rest, '.2g', ' mm')}",
-            verdict=verdict(*(v > 0.5 for v in rest.values())),
+            ours=f"largest error in the last round {listed(rest, '.2g', ' %')} of the initial one",
+            verdict=verdict(*lasting),
         ),
         Claim(
             section="5.1.1",
-            text="PID works its thrusters hard only at the start",
+            text="PID works its thrusters hard only at the start; near the trajectory the commands are smooth",
             figures=("5.6", "5.7"),
-            published="strong, then smooth",
-            ours=f"largest |u| {early:.2f} before 3 s, {late:.2f} after 10 s",
-            verdict=verdict(late < early / 2),
+            published="strong, then constant and smooth",
+            ours=f"largest |u| {early:.2f} before each position error has been zero once ({arrived:.2f} s), {late:.2f} "
+            f"after it; there changes of at most {peak(pid.jump[later]):.1g} in a step",
+            verdict=verdict(late < early, peak(pid.jump[later]) <= SMOOTH),
         ),
     ]
 
 
-def _feedback(feedback: Track) -> list[Claim]:
-    late = feedback.time >= 20.0
-    phi, theta, settled = _peak(feedback.of("phi")), feedback.eta[:, 4].max(), feedback.eta[late, 4].mean()
-    rates = {"p": _peak(feedback.nu[:, 3]), "r": _peak(feedback.nu[:, 5])}
-    saturated = (abs(feedback.u) >= 0.999).any(axis=1)
-    last = feedback.time[saturated][-1] if saturated.any() else 0.0
+def _feedback(feedback: Extremes) -> list[Claim]:
+    late = feedback.time >= LAST_ROUND
+    phi, theta = peak(feedback.of("phi")), float(feedback.eta[:, 1, 4].max())
+    least, largest = float(feedback.eta[late, 0, 4].min()), float(feedback.eta[late, 1, 4].max())
+    rates = {"p": peak(feedback.nu[:, :, 3]), "r": peak(feedback.nu[:, :, 5])}
+    after = feedback.time >= 10.0
     return [
         Claim(
             section="5.1.2",
@@ -85,15 +98,15 @@ def _feedback(feedback: Track) -> list[Claim]:
             figures=("5.9",),
             published="phi 50 deg, theta 40 deg",
             ours=f"phi {phi:.0f} deg, theta {theta:.0f} deg",
-            verdict=verdict(phi > 30 and theta > 30, abs(phi / 50 - 1) <= 0.25 and abs(theta / 40 - 1) <= 0.25),
+            verdict=verdict(about(phi, 50), about(theta, 40)),
         ),
         Claim(
             section="5.1.2",
             text="Under feedback linearization theta stays off zero afterwards",
             figures=("5.9",),
             published="about 10 deg",
-            ours=f"{settled:.1f} deg in the last 10 s",
-            verdict=verdict(abs(settled - 10) <= 5),
+            ours=f"{least:.1f} to {largest:.1f} deg in the last round",
+            verdict=verdict(about(least, 10) and about(largest, 10)),
         ),
         Claim(
             section="5.1.2",
@@ -105,53 +118,54 @@ def _feedback(feedback: Track) -> list[Claim]:
         ),
         Claim(
             section="5.1.2",
-            text="Its forces and commands are abrupt at first and smooth after about 10 s",
+            text="Its commands are abrupt at first and smooth after about 10 s",
             figures=("5.13", "5.14"),
             published="smooth after 10 s",
-            ours=f"last saturated command at {last:.1f} s",
-            verdict=verdict(0 < last <= 10),
+            ours=f"changes of up to {peak(feedback.jump[~after]):.2g} in a step of 1 ms before 10 s, "
+            f"{peak(feedback.jump[after]):.2g} after; {_saturation(feedback)}",
+            verdict=verdict(peak(feedback.jump[~after]) > SMOOTH, peak(feedback.jump[after]) <= SMOOTH),
         ),
     ]
 
 
-def _lyapunov(lyapunov: Track) -> list[Claim]:
-    time = lyapunov.time
-    settled = {a: metrics.settling_time(time, lyapunov.of(a), 0.01) for a in POSITIONS}
-    beyond = max(metrics.overshoot(time, lyapunov.of(a)) for a in POSITIONS)
-    phi = lyapunov.of("phi")[time >= 6.0]
+def _lyapunov(lyapunov: Extremes) -> list[Claim]:
+    times = {a: settled(lyapunov, a) for a in POSITIONS}
+    beyond = max(_overshoot(lyapunov, a) for a in POSITIONS)
+    phi = lyapunov.error[:, :, AXES.index("phi")].mean(axis=1)
     crossings = int((phi[1:] * phi[:-1] < 0).sum())
+    largest = peak(lyapunov.of("phi"))
     return [
         Claim(
             section="5.1.3",
             text="Lyapunov-based control converges exponentially in about 6 s, without overshoot",
             figures=("5.15", "5.43"),
             published="about 6 s",
-            ours=f"within 10 mm for good after {listed(settled, '.2f', ' s')}; overshoot {beyond:.1f} %",
-            verdict=verdict(*(5 <= v <= 7 for v in settled.values()), beyond < 1),
+            ours=f"zero for good after {listed(times, '.2f', ' s')}; overshoot {beyond:.2g} %",
+            verdict=verdict(*(about(v, 6) for v in times.values()), beyond <= 100 * BAND),
         ),
         Claim(
             section="5.1.3",
             text="Its phi oscillates in a small neighbourhood of zero",
             figures=("5.16", "5.47"),
             published="no number",
-            ours=f"|phi| at most {_peak(phi):.2g} deg after 6 s, with {crossings} changes of sign in 24 s",
-            verdict=verdict(_peak(phi) < 1, crossings >= 3),
+            ours=f"|phi| at most {largest:.2g} deg, with {crossings} changes of sign",
+            verdict=verdict(largest <= ANGLE, crossings > 1),
         ),
     ]
 
 
-def _mfsosmc(tracks: Mapping[str, Track], currents: bool) -> list[Claim]:
+def _mfsosmc(tracks: Mapping[str, Extremes], currents: bool) -> list[Claim]:
     """Convergence at the time base, in position, attitude and velocity; thrusters."""
     section, where = ("5.2", " in the current too") if currents else ("5.1.4", "")
-    found, peaks, used = [], {}, {}
-    for k, t_b in enumerate(TIME_BASES):
-        track = tracks[case_name("spiral", "mfsosmc", currents, t_b)]
+    claims = []
+    runs = {f"{t_b} s": tracks[case_name("spiral", "mfsosmc", currents, t_b)] for t_b in TIME_BASES}
+    for k, (t_b, track) in enumerate(zip(TIME_BASES, runs.values(), strict=True)):
         after = track.time >= t_b
-        left = max(_peak(track.of(a)[after]) / abs(track.of(a)[0]) for a in POSITIONS)
-        angle = max(_peak(track.of(a)[after]) for a in ("phi", "psi"))
+        left = max(peak(track.of(a)[after]) / track.of(a)[0] for a in POSITIONS)
+        angle = max(peak(track.of(a)[after]) for a in ("phi", "psi"))
         base = 22 + 7 * k
         figures = ("5.50", "5.51", "5.52", "5.54", "5.56") if currents else (f"5.{base}", f"5.{base + 1}", "5.43")
-        found.append(
+        claims.append(
             Claim(
                 section=section,
                 text=f"MFSOSMC with a time base of {t_b} s has converged in every controlled axis at {t_b} s"
@@ -159,55 +173,53 @@ def _mfsosmc(tracks: Mapping[str, Track], currents: bool) -> list[Claim]:
                 figures=figures,
                 published=f"error 0 from {t_b} s",
                 ours=f"at most {100 * left:.2g} % of the initial position errors, {angle:.1g} deg of phi and psi left",
-                verdict=verdict(left <= AT_BASE, angle <= MARGIN),
+                verdict=verdict(*converged(track, t_b, (*POSITIONS, "phi", "psi")).values()),
             )
         )
-        peaks[f"{t_b} s"], used[f"{t_b} s"] = _peak(track.u), _peak(track.tau[:, :3])
         if not currents:
-            off = abs(track.nu - track.nu_d)[after]
-            found.append(
+            off = velocities(track, t_b)
+            claims.append(
                 Claim(
                     section=section,
                     text=f"Its velocities have converged at {t_b} s, too",
                     figures=(f"5.{base + 2}", f"5.{base + 3}"),
                     published="at the time base",
-                    ours=f"at most {off[:, :3].max():.2g} m/s and {off[:, [3, 5]].max():.2g} deg/s away from it on",
-                    verdict=verdict(off[:, :3].max() < 0.05, off[:, [3, 5]].max() < 1),
+                    ours=off.text,
+                    verdict=verdict(*off.converged),
                 )
             )
     if currents:
-        return found
-    burst = _peak(tracks["thesis_spiral_mfsosmc_3"].u[_between(tracks["thesis_spiral_mfsosmc_3"].time, 2.9, 3.1)])
-    calm = _peak(tracks["thesis_spiral_mfsosmc_3"].u[_between(tracks["thesis_spiral_mfsosmc_3"].time, 5.0, 30.0)])
-    forces = list(used.values())
-    found += [
+        return claims
+    jumps = {name: peak(track.jump) for name, track in runs.items()}
+    forces = {name: peak(track.tau[:, :, :3]) for name, track in runs.items()}
+    saturated = {name: bool(track.saturated.any()) for name, track in runs.items()}
+    claims += [
         Claim(
             section=section,
             text="MFSOSMC keeps its thrusters out of saturation",
             figures=("5.28", "5.35", "5.42"),
             published="no saturation",
-            ours=f"largest |u| {listed(peaks, '.2f')}",
-            verdict=verdict(*(v < 1 for v in peaks.values())),
+            ours="; ".join(f"{name}: {_saturation(track)}" for name, track in runs.items()),
+            verdict=verdict(not any(saturated.values())),
         ),
         Claim(
             section=section,
             text="Its command signals are smooth and continuous",
             figures=("5.28", "5.35", "5.42"),
             published="smooth",
-            ours=f"the gain alpha jumps at t_b, and |u| bursts to {burst:.2f} there (t_b = 3 s) against {calm:.2f} "
-            "later; beyond it the relay's chatter shrinks with the step",
-            verdict=verdict(False, calm < 0.3),
+            ours=f"largest change in one step {listed(jumps, '.2f')}: the relay chatters, and alpha jumps at t_b",
+            verdict=verdict(*(v <= SMOOTH for v in jumps.values())),
         ),
         Claim(
             section=section,
             text="A longer time base asks for less force",
             figures=("5.27", "5.34", "5.41"),
             published="less aggressive",
-            ours=f"largest force {listed(used, '.0f', ' N')}; Table 5.4 has the RMS",
-            verdict=verdict(forces[0] > forces[1] > forces[2], forces[2] < 0.8 * forces[0]),
+            ours=f"largest force {listed(forces, '.1f', ' N')} in the first steps; Table 5.4 has the RMS",
+            verdict=verdict(forces["3 s"] > (1 + BAND) * forces["5 s"], forces["5 s"] > (1 + BAND) * forces["7 s"]),
         ),
     ]
-    return found
+    return claims
 
 
 def _means(mean: Callable[..., float]) -> list[Claim]:
@@ -251,7 +263,7 @@ def _means(mean: Callable[..., float]) -> list[Claim]:
             ours=listed(control, ".3f"),
             verdict=verdict(
                 max(control, key=lambda n: control[n]) == "feedback linearization",
-                abs(control["Lyapunov"] / control["MFSOSMC 5 s"] - 1) < 0.2,
+                all(about(control[f"MFSOSMC {t} s"], control["Lyapunov"]) for t in TIME_BASES),
             ),
         ),
         Claim(
@@ -265,12 +277,12 @@ def _means(mean: Callable[..., float]) -> list[Claim]:
     ]
 
 
-def _attitude_of_feedback(tracks: Mapping[str, Track]) -> list[Claim]:
-    found = []
+def _attitude_of_feedback(tracks: Mapping[str, Extremes]) -> list[Claim]:
+    claims = []
     for axis, figures in (("phi", ("5.46", "5.47")), ("psi", ("5.48", "5.49"))):
-        worst = {c.label: _peak(tracks[c.name].of(axis)) for c in spirals(currents=False)}
+        worst = {c.label: peak(tracks[c.name].of(axis)) for c in spirals(currents=False)}
         own = worst.pop("Feedback linearization")
-        found.append(
+        claims.append(
             Claim(
                 section="5.1.6",
                 text=f"Feedback linearization's {axis} error is an order of magnitude above all others",
@@ -280,17 +292,16 @@ def _attitude_of_feedback(tracks: Mapping[str, Track]) -> list[Claim]:
                 verdict=verdict(own >= 10 * max(worst.values())),
             )
         )
-    return found
+    return claims
 
 
-def _in_current(tracks: Mapping[str, Track], mean: Callable[..., float]) -> list[Claim]:
+def _in_current(tracks: Mapping[str, Extremes], mean: Callable[..., float]) -> list[Claim]:
     classical = {name: tracks[case_name("spiral", c, True)] for name, c in CLASSICAL.items()}
-    rest = {
-        name: 1e3 * max(_peak(track.of(a)[track.time >= 15]) for a in POSITIONS) for name, track in classical.items()
-    }
-    worst = {a: {name: _peak(track.of(a)) for name, track in classical.items()} for a in ("phi", "psi")}
+    rest = {name: max(_lasting(track)[0].values()) for name, track in classical.items()}
+    lasting = [part for track in classical.values() for part in _lasting(track)[1]]
+    worst = {a: {name: peak(track.of(a)) for name, track in classical.items()} for a in ("phi", "psi")}
     least = {
-        a: max(_peak(tracks[case_name("spiral", "mfsosmc", True, t)].of(a)) for t in TIME_BASES) for a in ("phi", "psi")
+        a: max(peak(tracks[case_name("spiral", "mfsosmc", True, t)].of(a)) for t in TIME_BASES) for a in ("phi", "psi")
     }
     growth = {
         tables: {name: 100 * (mean(tables[1], c) / mean(tables[0], c) - 1) for name, c in CLASSICAL.items()}
@@ -308,8 +319,8 @@ def _in_current(tracks: Mapping[str, Track], mean: Callable[..., float]) -> list
             text="PID, feedback linearization and Lyapunov never eliminate the position error in the current",
             figures=("5.50", "5.51", "5.52"),
             published="they oscillate",
-            ours=f"largest error after 15 s {listed(rest, '.3g', ' mm')}",
-            verdict=verdict(*(v > 10 for v in rest.values())),
+            ours=f"largest error in the last round {listed(rest, '.2g', ' %')} of the initial one",
+            verdict=verdict(*lasting),
         ),
         Claim(
             section="5.2.1",
@@ -318,9 +329,9 @@ def _in_current(tracks: Mapping[str, Track], mean: Callable[..., float]) -> list
             published="240 deg, 6 deg, 0",
             ours=f"{listed(worst['phi'], '.1f', ' deg')}, MFSOSMC {least['phi']:.1g} deg",
             verdict=verdict(
-                abs(worst["phi"]["feedback linearization"] / 240 - 1) < 0.25,
-                4 <= worst["phi"]["Lyapunov"] <= 8,
-                least["phi"] < MARGIN,
+                about(worst["phi"]["feedback linearization"], 240),
+                about(worst["phi"]["Lyapunov"], 6),
+                least["phi"] <= ANGLE,
             ),
         ),
         Claim(
@@ -331,7 +342,7 @@ def _in_current(tracks: Mapping[str, Track], mean: Callable[..., float]) -> list
             ours=f"{listed(worst['psi'], '.1f', ' deg')}, MFSOSMC {least['psi']:.1f} deg before its time base",
             verdict=verdict(
                 worst["psi"]["feedback linearization"] == max(worst["psi"].values()),
-                abs(worst["psi"]["feedback linearization"] / 400 - 1) < 0.25,
+                about(worst["psi"]["feedback linearization"], 400),
             ),
         ),
         Claim(
@@ -382,14 +393,20 @@ def _near(values: Iterable[float], published: Iterable[float]) -> list[bool]:
     return [abs(a - b) <= max(5.0, 0.1 * b) for a, b in zip(values, published, strict=True)]
 
 
-def _peak(values: Array) -> float:
-    return float(abs(values).max())
+def _overshoot(of: Extremes, axis: str) -> float:
+    """Largest error of the opposite sign, in percent of the initial one."""
+    error = of.error[:, :, AXES.index(axis)]
+    return max(0.0, float((-error / error[0, 0]).max()) * 100.0)
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values * values).mean()))
+def _lasting(of: Extremes) -> tuple[dict[str, float], list[bool]]:
+    """Largest position error in the last round in percent of the initial one, and whether it is off zero, by axis."""
+    rest = {a: 100 * peak(of.of(a)[of.time >= LAST_ROUND]) / float(of.of(a)[0]) for a in POSITIONS}
+    return rest, [v > 100 * BAND for v in rest.values()]
 
 
-def _between(time: Array, after: float, before: float) -> NDArray[np.bool_]:
-    window: NDArray[np.bool_] = (time >= after) & (time <= before)
-    return window
+def _saturation(of: Extremes) -> str:
+    steps = int(of.saturated.sum())
+    if not steps:
+        return f"never saturated, |u| at most {peak(of.u):.3f}"
+    return f"saturated in {steps} steps, last at {of.time[of.saturated > 0][-1]:.2f} s"
