@@ -136,11 +136,11 @@ def test_a_description_may_have_any_encoding_that_it_names(orch, trap, write, en
     ("name", "words"),
     [
         ("resources/a\x01b", "control character"),
-        ("resources/nul", "means another on Windows"),
-        ("resources/COM1.txt", "means another on Windows"),
-        ("aux/a", "means another on Windows"),
-        ("resources/a. /b", "means another on Windows"),
-        ("resources/a.", "means another on Windows"),
+        ("resources/nul", "means another file on Windows"),
+        ("resources/COM1.txt", "means another file on Windows"),
+        ("aux/a", "means another file on Windows"),
+        ("resources/a. /b", "means another file on Windows"),
+        ("resources/a.", "means another file on Windows"),
         ("MODELDESCRIPTION.XML", "same file on some systems"),
         ("Binaries/a", "same file on some systems"),
         ("modelDescription.xml/a", "as a file and as a folder"),
@@ -152,7 +152,7 @@ def test_a_description_may_have_any_encoding_that_it_names(orch, trap, write, en
 )
 def test_names_that_mean_two_things_are_refused(refused, orch, trap, name, words):
     with zipfile.ZipFile(trap, "a") as archive, pytest.MonkeyPatch.context() as quiet:
-        quiet.setattr("warnings.warn", lambda *_, **__: None)  # zipfile's, of a name that is there twice
+        quiet.setattr("warnings.warn", lambda *_, **__: None)  # zipfile's, of a name that occurs twice
         archive.writestr(name, "" if name.endswith("/") else "got you")
     if words:
         assert words in refused(trap)

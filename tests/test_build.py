@@ -358,7 +358,7 @@ def test_a_broken_fmu_does_not_hide_the_others(fresh, tmp_path):
     (tmp_path / "build" / "python" / "broken.fmu").write_text("not a zip")
     answer = fresh("fmus")
     assert "pid" in answer.out
-    assert "broken.fmu is no FMU: not a zip file" in answer.err
+    assert "broken.fmu is not an FMU: not a zip file" in answer.err
     assert answer.code == 0
 
 

@@ -243,7 +243,7 @@ def test_the_packaging_can_be_chosen_for_each_run(fresh, write, tmp_path):
 @needs_compiler
 def test_plain_python_has_no_native_packaging(fresh, write, tmp_path):
     (tmp_path / "mine.py").write_text(fmu_files.model("clock"))
-    sentence = "mine.py cannot be built: ValueError: a PythonModel runs in Python alone and has no native packaging"
+    sentence = "mine.py cannot be built: ValueError: a PythonModel runs in Python only and has no native packaging"
     answer = fresh("build", "mine.py", "--native")
     assert (answer.code, answer.out) == (2, "")
     assert sentence in answer.err
@@ -316,7 +316,7 @@ def test_one_fmu_is_built_for_several_platforms(cross, tmp_path):
     ("targets", "words"),
     [
         (["x86_64-widows"], "no target 'x86_64-widows'; did you mean 'x86_64-windows'?"),
-        (["x86_64-linux", "aarch64-linux"], "x86_64-linux and aarch64-linux share a folder of FMI 2.0's"),
+        (["x86_64-linux", "aarch64-linux"], "x86_64-linux and aarch64-linux share a folder in FMI 2.0"),
     ],
 )
 def test_a_target_that_cannot_be_says_why(fresh, tmp_path, targets, words):
@@ -329,4 +329,4 @@ def test_a_target_that_cannot_be_says_why(fresh, tmp_path, targets, words):
 def test_targets_and_python_fmus_exclude_each_other(fresh):
     answer = fresh("build", MODEL, "--python", "--target", "x86_64-windows")
     assert answer.code == 2
-    assert "--target makes native FMUs" in answer.err
+    assert "--target is for native FMUs" in answer.err

@@ -54,8 +54,8 @@ def test_what_is_no_fmu_is_refused(problems, two, tmp_path):
     (tmp_path / "first.fmu").write_text("not a zip file")
     write_zip(tmp_path / "second.fmu", {"model.xml": "<a/>"})
     assert dict(problems(table)) == {
-        "components.a.fmu": f"{tmp_path / 'first.fmu'} is no FMU: not a zip file",
-        "components.b.fmu": f"{tmp_path / 'second.fmu'} is no FMU: it has no modelDescription.xml",
+        "components.a.fmu": f"{tmp_path / 'first.fmu'} is not an FMU: not a zip file",
+        "components.b.fmu": f"{tmp_path / 'second.fmu'} is not an FMU: it has no modelDescription.xml",
     }
 
 
@@ -136,7 +136,7 @@ def test_a_zip_with_a_link_is_not_opened(problems, two, tmp_path):
     with zipfile.ZipFile(tmp_path / "first.fmu", "a") as archive:
         archive.writestr(link, "/etc")
     ((_, sentence),) = problems(table)
-    assert "contains the link 'resources/way_out'" in sentence
+    assert "contains a link, 'resources/way_out'" in sentence
 
 
 def test_a_zip_that_unpacks_to_an_absurd_size_is_not_opened(problems, two, tmp_path):
@@ -368,8 +368,8 @@ def test_a_start_value_of_a_connected_input_is_refused(problems, two):
         ({"W": {"x": 1}}, "W", "W is Real, not {'x': 1}"),
         ({"W": True}, "W", "W is Real, not True"),
         ({"w": 1.0}, "w", "no parameter 'w'"),
-        ({"eta": [0, 0, 0, 0, 0, 0]}, "eta", "is no parameter but output"),
-        ({"T[1,1]": 1.0}, "T[1,1]", "is no parameter but calculatedParameter"),
+        ({"eta": [0, 0, 0, 0, 0, 0]}, "eta", "is an output, not a parameter"),
+        ({"T[1,1]": 1.0}, "T[1,1]", "is a calculatedParameter, not a parameter"),
     ],
 )
 def test_a_parameter_of_the_wrong_shape_says_which_it_has(problems, spiral, parameters, key, words):
@@ -385,7 +385,7 @@ def test_a_parameter_of_the_wrong_shape_says_which_it_has(problems, spiral, para
         ({"count": 3_000_000_000}, "does not fit 32 bits"),
         ({"flag": 1}, "flag is Boolean, not 1"),
         ({"text": 1}, "text is String, not 1"),
-        ({"y": 1.0}, "is no input but output"),
+        ({"y": 1.0}, "is an output, not an input"),
         ({"v": 1.0}, "no input 'v'"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Turns a model's definition into an FMU.  Run by `orch build`; nothing of it goes into the FMU but `bundle.py`."""
+"""Makes an FMU of a model.  Run by `orch build`; of all this, only `bundle.py` goes into the FMU."""

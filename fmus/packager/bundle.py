@@ -14,7 +14,7 @@ import sys
 
 _FOLDER = pathlib.Path(__file__).parent
 _BUNDLED = {path.stem for path in _FOLDER.iterdir() if path.stem != "__init__"}
-# Read at once: the package outlives its folder in a process that unpacks the FMU anew for each run.
+# Read at import: in a process that unpacks the FMU again for each run, the package outlives its folder.
 _SOURCES = {str(path): path.read_bytes() for path in _FOLDER.rglob("*.py")}
 
 

@@ -25,7 +25,7 @@ def model_description(
     capabilities: dict[str, bool],
     sources: Sequence[str] = (),
 ) -> bytes:
-    """The XML file.  `equations`: None for a plain Python model, whose dependencies nobody knows: then all count.
+    """The XML file.  `equations`: None for a plain Python model, whose outputs may depend on all inputs.
 
     sources: the C files to compile.
     """
@@ -69,7 +69,7 @@ def model_description(
                     kind = equations.dependencies["outputs" if section == "Outputs" else "initial"]
                     known = sorted(index[other] for other in kind[scalar.name])
                 elif section == "Outputs" and states.start <= scalar.place < states.stop:
-                    known = []  # what a step has left behind depends on no input of the instant
+                    known = []  # a state depends on no input of the same instant
                 _unknown(element, index[scalar.name], known)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"

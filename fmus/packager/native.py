@@ -67,7 +67,7 @@ class Compiler:
 
 
 class CompilerError(Exception):
-    """The C compiler is of no use."""
+    """The C compiler fails; the text is its first error."""
 
 
 def build(
@@ -97,7 +97,7 @@ def build(
 
 
 def _functions(equations: Equations) -> list[Any]:
-    """The three of the model, and their derivatives along a direction; see fmi2.c."""
+    """The three functions of the model, and their derivatives along a direction; see fmi2.c."""
     import casadi as ca
 
     groups = equations.layout.groups

@@ -20,7 +20,7 @@ UUV = pathlib.Path(__file__).parent.parent / "uuv"
 
 
 def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Callable[[], dict[str, Any]]:
-    """Build one FMU; what is returned waits for the compilers, and gives the answer."""
+    """Build one FMU.  The function returned waits for the compilers and returns the answer."""
     source = pathlib.Path(request["source"])
     files = {source.name: source, **_imported(source)}
     files |= {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
@@ -29,7 +29,7 @@ def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Calla
     equations = trace(model) if issubclass(model, Model) else None
     target = (equations and request["native"]) or request["python"]
     if target is None:
-        raise ValueError("a PythonModel runs in Python alone and has no native packaging")
+        raise ValueError("a PythonModel runs in Python only and has no native packaging")
     wait = None
     if target == request["native"]:
         compilers = [native.Compiler(tuple(c["command"]), c["folder"]) for c in request["compilers"]]
@@ -49,7 +49,7 @@ def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Calla
 def _imported(source: pathlib.Path) -> dict[str, pathlib.Path]:
     """{path in the bundle: file} of the modules beside `source` that it imports, directly or through one another."""
     folder = source.parent
-    found: dict[str, pathlib.Path] = {}
+    imported: dict[str, pathlib.Path] = {}
     waiting = [source]
     while waiting:
         for name in _import_names(waiting.pop()):
@@ -58,9 +58,9 @@ def _imported(source: pathlib.Path) -> dict[str, pathlib.Path]:
                 continue
             files = [single] if single.exists() else sorted(package.parent.rglob("*.py")) if package.exists() else []
             new = {str(file.relative_to(folder)): file for file in files}
-            waiting += [file for path, file in new.items() if path not in found]
-            found |= new
-    return found
+            waiting += [file for path, file in new.items() if path not in imported]
+            imported |= new
+    return imported
 
 
 def _import_names(file: pathlib.Path) -> set[str]:

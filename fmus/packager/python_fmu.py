@@ -24,7 +24,7 @@ CAPABILITIES = {
 
 # pythonfmu's library takes the class that is furthest from an ancestor named Fmi2Slave; one without a method of its
 # own segfaults at the second instance (pythonfmu 0.7.0).
-ENTRY = '''"""Where pythonfmu's library begins."""
+ENTRY = '''"""What pythonfmu's library loads."""
 from {package} import load
 
 Fmi2Slave = load("uuv.modelling.slave").Fmi2Slave
@@ -41,7 +41,7 @@ def build(
 ) -> None:
     """Write the FMU.  modules: {path inside the bundle: source}, the model's own as `name`.py; same input, same bytes.
 
-    Raises RuntimeError where pythonfmu is not installed with its libraries.
+    Raises RuntimeError if pythonfmu is installed without its libraries.
     """
     binaries = _binaries(name)
     bundle = {**modules, "__init__.py": (HERE / "bundle.py").read_bytes()}
@@ -63,7 +63,7 @@ def _binaries(name: str) -> dict[str, bytes]:
     import pythonfmu  # type: ignore[import-untyped]
 
     folder = pathlib.Path(pythonfmu.__file__).parent / "resources" / "binaries"
-    found = [path for path in sorted(folder.rglob("*")) if path.suffix in (".so", ".dll", ".dylib")]
-    if not found:
+    libraries = [path for path in sorted(folder.rglob("*")) if path.suffix in (".so", ".dll", ".dylib")]
+    if not libraries:
         raise RuntimeError(f"no libraries in {folder}; install pythonfmu again")
-    return {f"binaries/{path.parent.name}/{name}{path.suffix}": path.read_bytes() for path in found}
+    return {f"binaries/{path.parent.name}/{name}{path.suffix}": path.read_bytes() for path in libraries}

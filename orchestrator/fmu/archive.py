@@ -1,4 +1,8 @@
-"""The archive that holds an FMU, opened without trust: no path outside, no absurd size, no tricks in its XML."""
+"""The archive that holds an FMU, opened without trust: no path outside, no absurd size, no document type in its XML.
+
+The threat is a file from somebody else: it may write outside its folder, fill the disk, or read files of the user by
+entities of XML.  Own bounds, because zipfile has none, and because defusedxml does not bound lxml.
+"""
 
 from __future__ import annotations
 
@@ -52,28 +56,28 @@ class Archive:
     _zip: zipfile.ZipFile
 
     def read(self, name: str) -> bytes:
-        """Raises FmuError where the file is damaged."""
-        with _telling(self.path):
+        """The content of a file.  Raises FmuError if it is damaged."""
+        with _reporting(self.path):
             return self._zip.read(name)
 
     def xml(self, name: str) -> str:
-        """An XML file as text: without a document type, hence without entities, and nothing was fetched for it.
+        """An XML file as text: it has no document type, hence no entities, and nothing is fetched for it.
 
-        Raises FmuError where it cannot be read.
+        Raises FmuError if it cannot be read.
         """
         if self._zip.getinfo(name).file_size > MAX_XML:
             raise FmuError(f"{self.path}: {name} is over {MAX_XML >> 20} MB; not read")
         return _checked_xml(f"{self.path}: {name}", self.read(name))
 
     def extract(self, folder: Path) -> None:
-        """Unpack everything.  Raises FmuError where a file is damaged or the disk is full."""
-        with _telling(self.path, f" into {folder}"):
+        """Unpack everything.  Raises FmuError if a file is damaged or the disk is full."""
+        with _reporting(self.path, f" into {folder}"):
             self._zip.extractall(folder)
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Archive]:
-    """The archive, read once and checked.  Raises FmuError with a sentence."""
+    """The archive, read once and checked.  Raises FmuError with the reason."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -84,7 +88,7 @@ def opened(path: Path) -> Iterator[Archive]:
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except zipfile.BadZipFile:
-        raise FmuError(f"{path} is no FMU: not a zip file") from None
+        raise FmuError(f"{path} is not an FMU: not a zip file") from None
     except DAMAGED as error:
         raise FmuError(f"{path} is damaged: {error}") from None
     with archive:
@@ -94,7 +98,7 @@ def opened(path: Path) -> Iterator[Archive]:
 
 
 @contextlib.contextmanager
-def _telling(path: Path, where: str = "") -> Iterator[None]:
+def _reporting(path: Path, where: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
@@ -120,7 +124,7 @@ def _check(path: Path, archive: zipfile.ZipFile, size: int) -> None:
 
 
 def _problem(entry: zipfile.ZipInfo) -> str:
-    """What is wrong with one entry, for itself; "" for nothing."""
+    """What is wrong with one entry by itself; "" if nothing is."""
     name = entry.orig_filename  # zipfile cuts `filename` at a NUL
     if any(ord(letter) < 32 or ord(letter) == 127 for letter in name):
         return f"has a file with a control character in its name: {name!r}"
@@ -129,9 +133,9 @@ def _problem(entry: zipfile.ZipInfo) -> str:
         return f"would write outside its folder: {name!r}"
     for part in path.parts:
         if DEVICE.match(part) or part.endswith((".", " ")):
-            return f"has a file whose name means another on Windows: {name!r}"
+            return f"has a file whose name means another file on Windows: {name!r}"
     if stat.S_ISLNK(entry.external_attr >> 16):
-        return f"contains the link {name!r}"
+        return f"contains a link, {name!r}"
     if entry.flag_bits & 1:
         return f"has an encrypted file: {name!r}"
     if entry.compress_type not in METHODS:
@@ -140,7 +144,7 @@ def _problem(entry: zipfile.ZipInfo) -> str:
 
 
 def _overlap(archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]) -> str:
-    """Files that share bytes: many large ones of few (Fifield, A better zip bomb, 2019)."""
+    """Files that share bytes, so that few bytes unpack to many (Fifield, A better zip bomb, 2019)."""
     end = -1
     for entry in sorted(entries, key=lambda entry: entry.header_offset):
         if entry.header_offset < end:
@@ -150,7 +154,7 @@ def _overlap(archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]) -> str:
 
 
 def _ambiguity(entries: list[zipfile.ZipInfo]) -> str:
-    """Files that are one and the same on some systems, and which of them an FMU means no tool can tell."""
+    """Files that are the same file on some systems: no tool can tell which one an FMU means."""
     known: dict[str, str] = {}
     files: dict[str, str] = {}
     for entry in entries:
@@ -184,20 +188,20 @@ def _checked_xml(what: str, content: bytes) -> str:
 
     try:
         _look_for_doctype(content)
-        # libxml2 itself bounds depth and sizes, unless it is told that trees are huge.
+        # libxml2 itself bounds depth and sizes, unless huge_tree is set.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
         tree = etree.fromstring(content, parser).getroottree()
         if tree.docinfo.doctype:  # in an encoding that expat does not know
             raise _HasDoctype
-        return str(etree.tostring(tree, encoding=str))  # not the bytes: another reader might take them otherwise
+        return str(etree.tostring(tree, encoding=str))  # not the bytes, which another reader might decode differently
     except _HasDoctype:
         raise FmuError(f"{what} has a document type, which can hide anything; not read") from None
     except (etree.LxmlError, ValueError, LookupError, MemoryError) as error:
-        raise FmuError(f"{what} cannot be read: {' '.join(str(error).split()) or 'it is no XML'}") from None
+        raise FmuError(f"{what} cannot be read: {' '.join(str(error).split()) or 'it is not XML'}") from None
 
 
 def _look_for_doctype(content: bytes) -> None:
-    """Raise _HasDoctype where there is one: before anything it declares can be used."""
+    """Raises _HasDoctype at a document type, before anything that it declares can be used."""
 
     def doctype(*_: object) -> None:
         raise _HasDoctype
@@ -208,5 +212,5 @@ def _look_for_doctype(content: bytes) -> None:
     reader = expat.ParserCreate()
     reader.StartDoctypeDeclHandler = doctype
     reader.StartElementHandler = root
-    with contextlib.suppress(_HasRoot, expat.ExpatError, ValueError, LookupError):  # lxml has better words
+    with contextlib.suppress(_HasRoot, expat.ExpatError, ValueError, LookupError):  # lxml has the better message
         reader.Parse(content, True)

@@ -1,7 +1,7 @@
-"""Whether a modelDescription.xml says what can be meant: what readers of FMUs take for granted, checked first.
+"""Whether a modelDescription.xml makes sense: what readers of FMUs take for granted is checked first.
 
-A start value that is no number, a variable that is there twice, an index that points before the first variable: a
-reader that does not look takes the nearest thing to it, and computes with that.
+A start value that is not a number, a variable that occurs twice, an index before the first variable: a reader that does
+not check takes something near to it, and computes with that.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FMI3_TYPES = (*(name for name in WHOLE if name != "Integer"), *FLOATS[1:], "Bool
 
 
 def check(path: Path, text: str) -> None:
-    """Raises FmuError, naming the faults, where the description of FMI 2.0 or 3.0 cannot be meant.
+    """Raises FmuError, naming the faults, if a description of FMI 2.0 or 3.0 does not make sense.
 
     text: checked XML.  Other versions, and other roots, are left to the reader.
     """
@@ -82,11 +82,11 @@ def _variables(root: Any, version: str) -> Iterator[str]:
             continue
         for own in (name, *(alias.get("name") for alias in element.iterfind("Alias"))):
             if own in names:
-                yield f"{where}: the name {own!r} is there twice"
+                yield f"{where}: the name {own!r} occurs twice"
             names.add(own)
         reference = _whole(element.get("valueReference"))
         if reference is None or not 0 <= reference < REFERENCES:
-            yield f"{where}: valueReference {element.get('valueReference')!r} is no number of 32 bits"
+            yield f"{where}: valueReference {element.get('valueReference')!r} is not a number of 32 bits"
         for attribute, known in (("causality", CAUSALITIES), ("variability", VARIABILITIES)):
             value = element.get(attribute)
             if value is not None and value not in known:
@@ -104,7 +104,7 @@ def _variables(root: Any, version: str) -> Iterator[str]:
 def _values(element: Any, items: set[int]) -> Iterator[str]:
     """Faults of start, min and max.  items: values of the enumeration."""
     kind = element.tag
-    found: dict[str, list[Any]] = {}
+    given: dict[str, list[Any]] = {}
     for attribute in ("start", "min", "max"):
         text = element.get(attribute)
         if text is None or kind in ("String", "Binary", "Clock"):
@@ -112,19 +112,19 @@ def _values(element: Any, items: set[int]) -> Iterator[str]:
         words = text.split() if element.find("Dimension") is not None else [text.strip()]
         values = [_value(kind, word) for word in words]
         if None in values:
-            yield f"{attribute} {_short(text)} is no {kind}"
-        found[attribute] = values
-    low, high = found.get("min"), found.get("max")
+            yield f"{attribute} {_short(text)} is not of type {kind}"
+        given[attribute] = values
+    low, high = given.get("min"), given.get("max")
     if low and high and None not in (low[0], high[0]) and low[0] > high[0]:
-        yield f"min {low[0]} is over max {high[0]}"
+        yield f"min {low[0]} is greater than max {high[0]}"
     if kind == "Enumeration" and items:
-        for value in found.get("start", []):
+        for value in given.get("start", []):
             if value is not None and value not in items:
-                yield f"start {value} is no item of its enumeration"
+                yield f"start {value} is not an item of its enumeration"
 
 
 def _value(kind: str, word: str) -> Any:
-    """The value that a word of XML Schema means, None where it means none of that type."""
+    """The value of a word of XML Schema; None if it is not of that type."""
     if kind == "Boolean":
         return word in ("true", "1") if word in BOOLEANS else None
     if kind in WHOLE:
@@ -148,19 +148,19 @@ def _number(word: str | None) -> float | None:
         value = float(word or "")
     except ValueError:
         return None
-    # "1e400" is no infinity: it says a number and means it.
+    # "1e400" is not infinity: a finite number is meant, which does not fit.
     meant = not math.isinf(value) or (word or "").strip().lstrip("+-") in ("INF", "inf", "Infinity")
     return value if meant and "_" not in (word or "") else None
 
 
 def _items(root: Any, version: str) -> dict[str, set[int]]:
     """{name of an enumeration: values of its items}."""
-    found = {}
+    items = {}
     for element in root.iterfind("TypeDefinitions/*"):
         values = {_whole(item.get("value")) for item in element.iter("Item")}
         if version in ("2.", "3.") and values and element.get("name"):
-            found[element.get("name")] = {value for value in values if value is not None}
-    return found
+            items[element.get("name")] = {value for value in values if value is not None}
+    return items
 
 
 def _units(root: Any) -> Iterator[str]:
@@ -176,22 +176,22 @@ def _units(root: Any) -> Iterator[str]:
 
 
 def _structure2(root: Any) -> Iterator[str]:
-    """FMI 2.0 points at variables by their place, from 1 on."""
+    """FMI 2.0 refers to variables by their index, from 1 on."""
     count = len(root.findall("ModelVariables/ScalarVariable"))
     for unknown in root.iterfind("ModelStructure/*/Unknown"):
         for word in (unknown.get("index") or "", *(unknown.get("dependencies") or "").split()):
             index = _whole(word)
             if index is None or not 1 <= index <= count:
-                yield f"line {unknown.sourceline} points at variable {_short(word)} of {count}"
+                yield f"line {unknown.sourceline} refers to variable {_short(word)} of {count}"
 
 
 def _structure3(root: Any) -> Iterator[str]:
-    """FMI 3.0 points at variables by their value references."""
+    """FMI 3.0 refers to variables by their value references."""
     known = {_whole(element.get("valueReference")) for element in root.iterfind("ModelVariables/*")}
     for unknown in root.iterfind("ModelStructure/*"):
         for word in (unknown.get("valueReference") or "", *(unknown.get("dependencies") or "").split()):
             if _whole(word) not in known or _whole(word) is None:
-                yield f"line {unknown.sourceline} points at the value reference {_short(word)}, which no variable has"
+                yield f"line {unknown.sourceline} refers to the value reference {_short(word)}, which no variable has"
 
 
 def _short(text: str) -> str:

@@ -1,4 +1,4 @@
-"""One FMU file: what it says of itself, and whether it can run here.  No binary is loaded."""
+"""One FMU file: what it says about itself, and whether it can run here.  No binary is loaded."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ class Fmu:
     def vectors(self) -> dict[str, dict[str, Variable]]:
         """{name: {axis: variable}}: variables `name.axis`, in the FMU's order, or `name[i]`, by number, that share
         causality."""
-        found: dict[str, dict[str, Variable]] = {}
+        vectors: dict[str, dict[str, Variable]] = {}
         for variable in self.variables.values():
             name, axis = split_axis(variable.name)
             if axis and name not in self.variables:
-                found.setdefault(name, {})[axis] = variable
-        return {n: _in_order(axes) for n, axes in found.items() if len({v.causality for v in axes.values()}) == 1}
+                vectors.setdefault(name, {})[axis] = variable
+        return {n: _in_order(axes) for n, axes in vectors.items() if len({v.causality for v in axes.values()}) == 1}
 
     def lookup(self, name: str) -> dict[str, Variable]:
         """{axis: variable} of a vector, {"": variable} of a scalar, {} of neither."""
@@ -86,20 +86,20 @@ class Fmu:
 
     @cached_property
     def _arrays(self) -> dict[int, list[Variable]]:
-        found: dict[int, list[Variable]] = {}
+        arrays: dict[int, list[Variable]] = {}
         for variable in self.variables.values():
             if variable.shape:
-                found.setdefault(variable.reference, []).append(variable)
-        return found
+                arrays.setdefault(variable.reference, []).append(variable)
+        return arrays
 
     def names(self, causality: str) -> list[str]:
-        """Vectors and scalars of one causality, a vector once."""
-        found: dict[str, None] = {}
+        """Names of the vectors and scalars of one causality; a vector is named once."""
+        names: dict[str, None] = {}
         for variable in self.variables.values():
             if variable.causality == causality:
                 vector = split_axis(variable.name)[0]
-                found[vector if vector in self.vectors else variable.name] = None
-        return list(found)
+                names[vector if vector in self.vectors else variable.name] = None
+        return list(names)
 
 
 def _in_order(axes: dict[str, Variable]) -> dict[str, Variable]:
@@ -112,11 +112,11 @@ def _in_order(axes: dict[str, Variable]) -> dict[str, Variable]:
 def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
     """Read and check an FMU.  structure: {structural parameter: value}, for the shapes of its arrays.
 
-    Raises FmuError, with a sentence, for anything that cannot run here.
+    Raises FmuError, with the reason, for anything that cannot run here.
     """
     with archives.opened(path) as archive:
         if DESCRIPTION not in archive.names:
-            raise FmuError(f"{path} is no FMU: it has no {DESCRIPTION}")
+            raise FmuError(f"{path} is not an FMU: it has no {DESCRIPTION}")
         text = archive.xml(DESCRIPTION)
         modules = dict(_python_modules(archive))
         names, sha256 = archive.names, archive.sha256
@@ -157,7 +157,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
 
 
 def unpack(fmu: Fmu, folder: Path) -> None:
-    """Unpack what was read.  Raises FmuError where the file is another by now, is damaged, or the disk is full."""
+    """Unpack what was read.  Raises FmuError if the file has changed, is damaged, or the disk is full."""
     with archives.opened(fmu.path) as archive:
         if archive.sha256 != fmu.sha256:
             raise FmuError(f"{fmu.path} has changed since it was checked; start again")
@@ -176,7 +176,7 @@ def platform_folder(version: int = 2) -> tuple[str, str]:
 
 
 def _description(path: Path, text: str) -> Any:
-    """What FMPy makes of the text that has been checked; it never sees the archive."""
+    """The checked text as FMPy reads it; FMPy never sees the archive."""
     from fmpy import read_model_description
 
     file = io.BytesIO()
@@ -196,13 +196,13 @@ def _interfaces(description: Any) -> str:
 
 
 def _initial_dependencies(description: Any) -> dict[str, tuple[str, ...] | None]:
-    found: dict[str, tuple[str, ...] | None] = {}
+    dependencies: dict[str, tuple[str, ...] | None] = {}
     for unknown in description.initialUnknowns:
         if unknown.variable is not None and unknown.variable.causality == "output":
             depends = unknown.dependencies
             inputs = None if depends is None else tuple(d.name for d in depends if d.causality == "input")
-            found[unknown.variable.name] = inputs
-    return found
+            dependencies[unknown.variable.name] = inputs
+    return dependencies
 
 
 def _check_binary(path: Path, names: Collection[str], identifier: str, version: int) -> None:

@@ -1,4 +1,4 @@
-"""Values of an experiment file, laid out on FMI variables: scalars, lists, tables of axes, nested lists."""
+"""Values of an experiment file assigned to FMI variables: scalars, lists, tables of axes, nested lists."""
 
 from __future__ import annotations
 
@@ -18,31 +18,35 @@ def flatten(
 ) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """{FMI variable: value} of a table such as { t_b = 6.0, K_p = { x = 100.0 }, "K_i.z" = 0.5 }.
 
-    Vectors first, so that a single axis named beside them wins.  Returns the values and (key, sentence) problems.
+    An axis given by itself takes precedence over its vector.  Returns the values, and problems as (key, message).
     """
     values: dict[str, Any] = {}
     causality = causalities[0]
     problems: list[tuple[str, str]] = []
     for name, value in sorted(table.items(), key=lambda item: item[0] in fmu.variables):
-        found = fmu.lookup(name)
-        if not found:
+        variables = fmu.lookup(name)
+        if not variables:
             problems.append((name, f"no {causality} {name!r}{did_you_mean(name, fmu.names(causality), 'it has')}"))
-        elif any(v.causality not in causalities or v.fixed for v in found.values()):
-            problems.append((name, f"is no {causality} but {_what(next(iter(found.values())))}"))
+        elif any(v.causality not in causalities or v.fixed for v in variables.values()):
+            problems.append((name, f"is {_what(next(iter(variables.values())))}, not {_a(causality)}"))
         else:
             try:
-                values |= {v.name: _typed(v, value) for v, value in _spread(name, found, value)}
+                values |= {v.name: _typed(v, value) for v, value in _spread(name, variables, value)}
             except ValueError as error:
                 problems.append((name, str(error)))
     return values, problems
 
 
 def _what(variable: Variable) -> str:
-    return "a constant" if variable.fixed else variable.causality
+    return "a constant" if variable.fixed else _a(variable.causality)
+
+
+def _a(causality: str) -> str:
+    return f"{'an' if causality[0] in 'aeiou' else 'a'} {causality}"
 
 
 def _spread(name: str, variables: Mapping[str, Variable], value: Any) -> list[tuple[Variable, Any]]:
-    """Each variable with its part of the value.  Raises ValueError where the shapes differ."""
+    """Each variable with its part of the value.  Raises ValueError if the shapes differ."""
     if "" in variables:
         return [(variables[""], value)]
     if isinstance(value, Mapping):
@@ -72,7 +76,7 @@ def _matrix(variables: Mapping[str, Variable], rows: list[Any]) -> list[tuple[Va
 
 
 def _typed(variable: Variable, value: Any) -> Any:
-    """The value as its FMI type.  Raises ValueError where it is none."""
+    """The value as the variable's FMI type.  Raises ValueError if it is not of that type."""
     kind, what = variable.kind, f"{variable.name} is {variable.type}, not {value!r}"
     if kind in TRUTHS and isinstance(value, bool):
         return value

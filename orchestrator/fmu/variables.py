@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-# Kinds of values, each with a table of its own in a running system: how they lie in memory.
+# Kinds of values, each with a table of its own in a running system, and their types in memory.
 DTYPES: dict[str, Any] = {
     "real": np.float64,
     "integer": np.int32,
@@ -80,7 +80,7 @@ class Variable:
 
     @property
     def feedthrough(self) -> bool:
-        """An output that depends on an input of the same instant, as far as the FMU says."""
+        """Whether an output depends on an input of the same instant, as far as the FMU says."""
         return self.depends is None or bool(self.depends)
 
     @property
@@ -90,7 +90,7 @@ class Variable:
 
     @property
     def initial(self) -> Any:
-        """Its start value as a number, a truth, a text or bytes; 0, False or nothing where the FMU gives none."""
+        """Its start value as a number, a truth value, a text or bytes; 0, False or empty if the FMU gives none."""
         if self.kind == "string":
             return self.start or ""
         if self.kind == "binary":
@@ -103,7 +103,8 @@ class Variable:
 def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
     """The variables of FMPy's model description.
 
-    structure: {structural parameter: value}, which give arrays their shapes.  Raises ValueError where a shape is none.
+    structure: {structural parameter: value}, which give arrays their shapes.  Raises ValueError if a shape is negative
+    or has more than a million elements.
     """
     version = int(description.fmiVersion[0])
     outputs = {id(u.variable): u for u in description.outputs}
@@ -150,7 +151,7 @@ def _elements(whole: Variable, v: Any, structure: Mapping[str, int]) -> Iterator
 
 
 def _limit(variable: Any, which: str, otherwise: float) -> float:
-    """Its min or max, or its type's; otherwise where it has none, or one for each element."""
+    """Its min or max, or its type's; `otherwise` if it has none, or one for each element."""
     own = getattr(variable, which)
     try:
         return float(own if own is not None or variable.declaredType is None else getattr(variable.declaredType, which))

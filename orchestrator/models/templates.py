@@ -8,7 +8,7 @@ from ..errors import OrchError
 from ..experiment.schema.reference import SCHEMA
 from .catalogue import shipped
 
-CONTROLLER = '''"""{name}: say here what your controller does; the first paragraph becomes the FMU's description."""
+CONTROLLER = '''"""{name}: describe your controller here; the first paragraph becomes the FMU's description."""
 
 import numpy as np
 from uuv import ETA, ETA_D, ETA_D_DOT, NU, TAU, Input, Output, Parameter, PythonModel
@@ -39,7 +39,7 @@ class {classname}(PythonModel):
 '''
 
 EXPERIMENT = """#:schema {schema}
-# {name}: say here what this experiment shows; the line above lets editors complete and check it.
+# {name}: describe here what this experiment shows; the line above lets editors complete and check it.
 title = "A BlueROV2 follows a spiral"
 
 [master]
@@ -90,11 +90,11 @@ rms_T1 = {{ of = "rms", signal = "allocation.u.T1" }}
 def write(kind: str, name: str) -> tuple[Path, str]:
     """Write the template of a controller or an experiment here; returns the file and what to do next.
 
-    Raises OrchError for a name that cannot be used or a file that is already there.
+    Raises OrchError for a name that cannot be used or a file that exists.
     """
     stem = name.removesuffix(".py" if kind == "controller" else ".toml")
     if not stem.isidentifier():
-        raise OrchError(f"{stem!r} cannot be the name; use letters, digits and _, and begin with no digit")
+        raise OrchError(f"{stem!r} cannot be the name; use letters, digits and _, and do not begin with a digit")
     if kind == "controller" and stem in shipped():
         raise OrchError(f"{stem!r} is the name of a model that comes with orch; choose another")
     path = Path(f"{stem}.py" if kind == "controller" else f"{stem}.toml")
@@ -105,7 +105,7 @@ def write(kind: str, name: str) -> tuple[Path, str]:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise OrchError(f"{path} is already there; choose another name, or move it away") from None
+        raise OrchError(f"{path} already exists; choose another name, or move it away") from None
     except OSError as error:
         raise OrchError(f"{path} cannot be written: {error.strerror}") from None
     if kind == "experiment":

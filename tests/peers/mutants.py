@@ -582,7 +582,7 @@ def main():
     build.build(MODELS)
     SOURCES = sources() if asked.what == "experiments" else originals(asked.given)
     trying = try_experiment if asked.what == "experiments" else try_archive
-    warnings.simplefilter("ignore")  # zipfile's, of names that are there twice
+    warnings.simplefilter("ignore")  # zipfile's, of names that occur twice
     temporary = os.path.realpath(tempfile.gettempdir())
     mine = {"mutant.toml", "mutant.fmu", "results", *os.listdir()}
     sys.dont_write_bytecode = True

@@ -1,1 +1,5 @@
-"""How a model is written down, and how its declaration becomes numbers in a row; the physics is beside this package."""
+"""How a model is declared, and how it is run as an FMU; the physics lies beside this package.
+
+`declare` has the variables and their layout in memory, `equations` models of CasADi expressions, `python_model` models
+in plain Python; `slave` runs either as a Python FMU.
+"""

@@ -24,7 +24,7 @@ ERROR = 3  # fmi2Error
 
 @dataclass
 class LogMessage:
-    """What pythonfmu's library hands to the FMI logger."""
+    """A message for the FMI logger, as pythonfmu's library expects it."""
 
     status: int
     category: str
@@ -81,7 +81,7 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         self.memory[self._places(references)] = values
 
     def _places(self, references: list[int]) -> Any:
-        """An index of the memory; a master asks for the same few sets of variables all along."""
+        """An index of the memory; a master asks for the same few sets of variables throughout a run."""
         key = tuple(references)
         places = self._known.get(key)
         if places is None:
@@ -99,7 +99,7 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         return [value != 0.0 for value in self.get_real(references)]
 
     def get_string(self, references: list[int]) -> list[str]:
-        raise TypeError("the model has no strings")
+        raise TypeError("the model has no variables of type String")
 
     set_string = get_string
 
@@ -108,7 +108,7 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         self._stale = False
 
     def _not_finite(self) -> str:
-        """The first variable that is not finite, inputs before what they spoil."""
+        """Names the first variable that is not finite; inputs come before the variables that they affect."""
         for kind in ("parameter", "input", "state", "output"):
             for scalar in self.layout.scalars:
                 places = self.layout.groups[kind]
@@ -175,7 +175,7 @@ class _EquationsCore:
         return True
 
     def own_state(self) -> None:
-        """Nothing: the memory holds every state."""
+        """None: the memory holds every state."""
 
     def restore(self, own: None) -> None:
         pass
@@ -192,7 +192,7 @@ class _PythonCore:
         self._new = self.own_state()
 
     def initialize(self) -> None:
-        # In initialization mode this runs again whenever inputs change, and begins from the same place each time.
+        # In initialization mode this runs again whenever inputs change, each time from the same state.
         self.restore(self._new)
         states = self._layout.groups["state"]
         self._memory[states] = self._start[states]
