@@ -31,9 +31,9 @@ def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used:
     while not os.path.lexists(folder):
         folder = folder.parent
     if not folder.is_dir():
-        raise StoreError(f"{path} cannot be written: {short(folder)} is a file, not a folder")
+        raise StoreError(f"{path} cannot be written: {short(folder)} is a file, not a folder; give another folder")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise StoreError(f"{path} cannot be written: no permission to write into {short(folder)}")
+        raise StoreError(f"{path} cannot be written: no permission to write into {short(folder)}; give another folder")
     return path
 
 

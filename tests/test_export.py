@@ -312,7 +312,7 @@ def test_the_name_of_the_file_says_the_format(orch, mixed, tmp_path):
     assert (tmp_path / "new" / "a.csv").read_text(encoding="utf-8-sig").startswith("time [s],one.y")
     answer = orch("export", mixed.path, "-o", "a.txt")
     assert answer.code == 2
-    assert "give a format: --format csv, parquet, mat, netcdf, mcap or tlog" in answer.err
+    assert "give a format: --format csv, parquet, mat, netcdf, mcap, tlog" in answer.err
 
 
 @pytest.mark.parametrize("form", LIBRARIES)

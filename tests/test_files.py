@@ -116,7 +116,10 @@ def test_a_folder_is_no_file(refused, line, suffix):
 @pytest.mark.parametrize(("line", "suffix"), TARGETS)
 def test_a_file_is_no_folder(refused, line, suffix):
     target = f"file/below/target{suffix}"
-    assert refused([*line.split(), target]) == f"{target} cannot be written: file is a file, not a folder\n"
+    assert (
+        refused([*line.split(), target])
+        == f"{target} cannot be written: file is a file, not a folder; give another folder\n"
+    )
 
 
 @pytest.mark.parametrize(("line", "suffix"), TARGETS)
@@ -130,7 +133,7 @@ def test_a_folder_without_permission(refused, place, line, suffix):
         before = ("setpriv", "--bounding-set=-dac_override")
     target = f"locked/new/target{suffix}"
     words = refused([*line.split(), target], before)
-    assert words == f"{target} cannot be written: no permission to write into locked\n"
+    assert words == f"{target} cannot be written: no permission to write into locked; give another folder\n"
 
 
 @pytest.mark.parametrize(("line", "words"), SUFFIXES)

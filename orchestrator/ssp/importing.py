@@ -14,6 +14,7 @@ from ..errors import ExperimentError, FmuError, Problem, StoreError
 from ..experiment import toml
 from ..experiment.experiment import Experiment
 from ..experiment.reader import parse
+from ..files import write_text
 from ..fmu.fmu import Fmu, read
 from ..fmu.variables import Variable
 from ..models import catalogue
@@ -71,7 +72,7 @@ def convert(path: Path, target: Path) -> Imported:
                 final.parent.mkdir(parents=True, exist_ok=True)
                 file.replace(final)
             text = f"# Imported from {path.name}\n{toml.write(imported.table)}"
-            target.write_text(text, encoding="utf-8")
+            write_text(target, text)
     except OSError as error:
         raise StoreError(f"{target} cannot be written: {error.strerror or error}") from None
     return imported

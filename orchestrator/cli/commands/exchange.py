@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from ... import files
+from ...views.export import FORMATS
 from .options import changes_options, packaging_option, prepared, results_option, to_stderr
 
 EXPERIMENTS = (".toml", ".ssp")  # suffixes by which an experiment is told from a run
@@ -17,8 +18,8 @@ EXPERIMENTS = (".toml", ".ssp")  # suffixes by which an experiment is told from 
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["csv", "parquet", "mat", "netcdf", "mcap", "tlog", "ssp"]),
-    help="Default: what FILE's name ends in (.csv, .parquet, .mat, .nc, .mcap, .tlog, .ssp).",
+    type=click.Choice([*FORMATS, "ssp"]),
+    help=f"Default: by the suffix of FILE ({', '.join(form.suffix for form in FORMATS.values())}, .ssp).",
 )
 @click.option("--output", "-o", metavar="FILE", help="Default: beside the record; an experiment's is NAME.ssp, here.")
 @changes_options
@@ -67,9 +68,9 @@ def export(
     if sets or swaps or packaging != "auto":
         raise click.UsageError(f"--set, --swap and --packaging are for experiments, and {run} is a run")
     if form is None:
-        raise click.UsageError("give a format: --format csv, parquet, mat, netcdf, mcap or tlog")
+        raise click.UsageError(f"give a format: --format {', '.join(FORMATS)}")
     with open_run(run, results) as record:
-        target = files.target(output or record.path.with_suffix(exporting.FORMATS[form].suffix), used=[record.path])
+        target = files.target(output or record.path.with_suffix(FORMATS[form].suffix), used=[record.path])
         exporting.export(record, form, target)
         if record.status != "completed":
             rows, time = len(record.time), record.time[-1]
