@@ -399,6 +399,17 @@ def test_a_disk_without_room_for_the_first_rows_says_so(run, models):
     assert (record.status, len(record.time)) == ("failed", 0)
 
 
+def test_a_disk_that_is_full_in_a_sweep_leaves_the_records_of_failed_runs(orch, write, models):
+    table = single("waves", stop_time=20.0, step=1e-3)
+    table["metrics"] = {"far": {"of": "final", "signal": "one.ramp"}}
+    table["sweep"] = {"keep": "full", "vary": {"components.one.parameters.heading": [0.0, 1.0]}}
+    answer = orch("sweep", write(table), "--json", "--workers", "1", preexec_fn=limited(1 << 20))
+    assert (answer.json["completed"], answer.json["failed"]) == (0, 2), answer.err
+    runs = orch("list", "--json").json
+    assert [run["status"] for run in runs] == ["failed", "failed"]
+    assert all(run["error"].endswith(" cannot be written: File too large") for run in runs)
+
+
 def test_a_disk_without_room_for_the_file_starts_nothing(orch, write, probe, tmp_path):
     answer = orch("run", write(single(probe)), preexec_fn=limited(64 << 10))
     assert answer.code == 2
