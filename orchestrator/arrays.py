@@ -35,3 +35,6 @@ class Signals(Protocol):
 
     def units(self, name: str) -> str:
         """The unit of a signal, "1" where it has none."""
+
+    def is_angle(self, name: str) -> bool:
+        """Whether differences of a signal are differences on the circle."""

@@ -2,7 +2,8 @@
 
 A window holds the samples with after <= t <= before; integrals over time are trapezoidal over these samples, and t in
 ITAE counts from the first of them.  The error is signal - reference, or the signal itself where no reference is given.
-Angles are not wrapped: the vehicle's Euler angles and the references are continuous.
+The error of an angle against a reference is on the circle, in half a turn either way, where one of them is declared an
+angle or the key `wrap` says so; an angle without a reference is the number as it stands, turns included.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from .errors import Problem, did_you_mean
 from .fmu.units import alternatives, conversion
 
 if TYPE_CHECKING:
-    from .arrays import Reals, Signals
+    from .arrays import Reals, Signals, Table
 
 
 def rms(time: Reals, error: Reals) -> float:
@@ -95,6 +96,17 @@ def mean_power(time: Reals, u: Reals, max_power: float) -> float:
     return energy(time, u, max_power) / float(time[-1] - time[0]) if len(time) > 1 else math.nan
 
 
+def on_circle(difference: Reals, turn: float) -> Reals:
+    """difference - turn round(difference / turn): the shortest way round, exact where that is the difference itself.
+
+    difference: (N,); turn: 2 pi, or 360, in its unit.  Returns (N,).
+    """
+    import numpy as np
+
+    result: Reals = difference - turn * np.round(difference / turn)
+    return result
+
+
 def distance(time: Reals, position: Reals, other: Reals) -> Reals:
     """Euclidean distance between two points.  position, other: (N, 3) in NED [m].  Returns (N,) [m]."""
     difference = position - other
@@ -128,15 +140,17 @@ class Metric:
     function: Callable[..., Any]
     unit: str = "{}"  # of the result; {} is the signal's, or the one that the key `unit` names
     needs: tuple[str, ...] = ()
-    takes: tuple[str, ...] = ("reference", "unit")
+    takes: tuple[str, ...] = ("reference", "unit", "wrap")
     axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name; ("*",): every axis
     ranks: str = "always"  # whether a smaller magnitude is better: "always", "never", "of an error" (with a reference)
 
 
+POWER_UNIT = "1"  # of commands, which energy and mean_power take
+WHAT = {"1": "commands, which have the unit 1", "m": "positions, in a unit of length", "rad": "an angle"}
 NUMBERS = ("band", "max_power")  # keys that are arguments of the function
 
 METRICS = {
-    "rmse": Metric(rms, needs=("reference",), takes=("unit",)),
+    "rmse": Metric(rms, needs=("reference",), takes=("unit", "wrap")),
     "rms": Metric(rms),
     "iae": Metric(iae, "{}.s"),
     "ise": Metric(ise, "({})2.s"),
@@ -145,7 +159,7 @@ METRICS = {
     "final": Metric(final, ranks="of an error"),
     "settling_time": Metric(settling_time, "s", needs=("band",)),
     "convergence_time": Metric(convergence_time, "s", needs=("band",)),
-    "overshoot": Metric(overshoot, "%", needs=("reference",), takes=()),
+    "overshoot": Metric(overshoot, "%", needs=("reference",), takes=("wrap",)),
     "total_variation": Metric(total_variation, takes=("unit",)),
     "energy": Metric(energy, "J", needs=("max_power",), takes=(), axes=("*",)),
     "mean_power": Metric(mean_power, "W", needs=("max_power",), takes=(), axes=("*",)),
@@ -220,12 +234,26 @@ def problems(key: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> lis
             problem(name, f"is {value!r}, not a number")
         elif name in NUMBERS and name in spec and value <= 0:
             problem(name, f"is {value!r}; give a positive number")
+    if not isinstance(spec.get("wrap", False), bool):
+        problem("wrap", f"is {spec['wrap']!r}, neither true nor false")
+    elif spec.get("wrap") and "reference" not in spec:
+        problem("wrap", "is for differences; give a reference")
+    elif spec.get("wrap") and units.get(str(spec.get("signal")), "rad") and not _turn(units.get(spec["signal"], "rad")):
+        problem("wrap", f"{spec['signal']} is in {units[spec['signal']]!r}, which is no unit of angles")
     after, before = spec.get("after", 0.0), spec.get("before", math.inf)
     if all(isinstance(v, (int, float)) for v in (after, before)) and not 0 <= after < before:
         problem("after", f"the window from {after} to {before} s is empty")
-    unit, other = (units.get(spec.get(end, ""), "") for end in ("signal", "reference"))
-    if unit and other and unit != other:
-        problem("reference", f"{spec['reference']} is in {other!r}, {spec['signal']} in {unit!r}")
+    if "reference" in spec and "signal" in spec:
+        for one, two in zip(*(_signals(spec[end], metric, units) for end in ("signal", "reference")), strict=False):
+            if not _fits(units.get(two, ""), units.get(one, "")):
+                problem("reference", f"{two} is in {units[two]!r}, {one} in {units[one]!r}")
+                break
+    if metric.axes and "signal" in spec:
+        expected = POWER_UNIT if metric.axes == ("*",) else metric.unit.replace("deg", "rad")
+        for name in _signals(spec["signal"], metric, units):
+            if not _fits(units.get(name, ""), expected):
+                problem("signal", f"{name} is in {units[name]!r}; {of} takes {WHAT[expected]}")
+                break
     if spec.get("stat", "mean") not in STATISTICS:
         problem("stat", f"no {spec['stat']!r}{did_you_mean(str(spec['stat']), STATISTICS)}")
     if "unit" in spec and spec.get("signal") in units and not _factor(spec["unit"], units[spec["signal"]]):
@@ -253,6 +281,25 @@ def _factor(asked: str, unit: str) -> float:
     return 0.0 if offset else factor
 
 
+def _fits(unit: str, other: str) -> bool:
+    """Whether one unit converts to the other; a signal without a unit fits anything."""
+    try:
+        return not unit or not other or bool(conversion(unit, {}, other, {}))
+    except ValueError:
+        return unit == other
+
+
+def _converted(values: Table, unit: str, wanted: str) -> Reals:
+    """The values in the unit that is wanted; as they stand where they have none, which a record calls "1"."""
+    factor, offset = conversion(unit, {}, wanted, {}) if "1" not in (unit, wanted) or unit == "%" else (1.0, 0.0)
+    return values.astype(float) if (factor, offset) == (1.0, 0.0) else values * factor + offset
+
+
+def _turn(unit: str) -> float:
+    """A full turn in a unit of angles; 0 of any other."""
+    return 2 * math.pi * _factor(unit, "rad") if _factor(unit, "rad") else 0.0
+
+
 def _evaluate(run: Signals, spec: Mapping[str, Any]) -> float:
     import numpy as np
 
@@ -263,13 +310,18 @@ def _evaluate(run: Signals, spec: Mapping[str, Any]) -> float:
     metric = METRICS[spec["of"]]
     numbers = {name: spec[name] for name in NUMBERS if name in spec}
     if not metric.axes:
-        error = run[spec["signal"]][window].astype(float)
+        error, unit = run[spec["signal"]][window].astype(float), run.units(spec["signal"])
         if "reference" in spec:
-            error = error - run[spec["reference"]][window]
-        unit = run.units(spec["signal"])
+            error = error - _converted(run[spec["reference"]][window], run.units(spec["reference"]), unit)
+            turn = _turn(unit)
+            if turn and spec.get("wrap", any(run.is_angle(spec[end]) for end in ("signal", "reference"))):
+                error = on_circle(error, turn)
         return float(metric.function(time[window], error * _factor(spec.get("unit", unit), unit), **numbers))
+    wanted = POWER_UNIT if metric.axes == ("*",) else metric.unit.replace("deg", "rad")
     vectors = [
-        np.column_stack([run[s][window] for s in _signals(spec[end], metric, run.signals)])
+        np.column_stack(
+            [_converted(run[s][window], run.units(s), wanted) for s in _signals(spec[end], metric, run.signals)]
+        )
         for end in ("signal", "reference")
         if end in spec
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 
 ETA_AXES = ("x", "y", "z", "phi", "theta", "psi")  # position in NED and zyx Euler angles
+ANGLE_AXES = ETA_AXES[3:]
 NU_AXES = ("u", "v", "w", "p", "q", "r")  # velocity in BODY
 
 

@@ -1,14 +1,16 @@
-"""Angles are on the circle: what controllers do about them."""
+"""Angles are on the circle, and models are valid within limits."""
 
 import tomllib
 
+import h5py
 import numpy as np
 import pytest
 
-import orchestrator as orch
+import orchestrator
 from experiments import EXPERIMENTS, merged
 from fmu_files import SOURCES
 from orchestrator.models import build
+from orchestrator.names import ANGLE_AXES
 
 CONTROLLERS = ("pid", "feedback_linearization", "lyapunov", "mfsosmc", "nstsmc", "ftsosmc")
 
@@ -40,7 +42,7 @@ def heading(turning, write, tmp_path):
             "metrics": {},
         }
         path = write(merged(table, changes))
-        with orch.run(path, packaging=packaging, results=tmp_path / "results") as record:
+        with orchestrator.run(path, packaging=packaging, results=tmp_path / "results") as record:
             psi, psi_d = (np.degrees(record[name]) for name in ("vehicle.eta.psi", "reference.eta_d.psi"))
             return record.time, psi, psi_d
 
@@ -67,3 +69,111 @@ def test_a_reference_that_wraps_is_followed_as_one_that_does_not(heading, contro
     np.testing.assert_allclose(psi, 170.0 + 20.0 * time, atol=3.0)
     _, continuous, _ = heading(controller, wraps=False, **given)
     np.testing.assert_allclose(psi, continuous, atol=0.02)  # degrees; relays amplify the rounding of the remainder
+
+
+def test_a_record_says_which_of_its_signals_are_angles(spiral, write, tmp_path):
+    with orchestrator.run(write(spiral), results=tmp_path / "results") as record:
+        angles = {name for name in record.signals if record.is_angle(name)}
+        with h5py.File(record.path, "r", locking=False) as file:
+            assert file["vehicle/eta.psi"].attrs["quantity"] == "angle"
+    assert angles == {f"{vector}.{axis}" for vector in ("vehicle.eta", "reference.eta_d") for axis in ANGLE_AXES}
+
+
+def test_an_angle_of_more_than_a_turn_is_reported_as_degrees(orch, write, spiral):
+    """eta_0 is in rad: 90 of them are 14 turns and 2.035 rad; 6.28 rad are less than a turn."""
+    degrees, turn = (
+        write(merged(spiral, {"components.vehicle.parameters.eta_0": [2, -1, 1, 0, 0, psi]}), f"{psi}.toml")
+        for psi in (90, 6.28)
+    )
+    words = "vehicle: eta_0.psi = 90 rad is more than a full turn; 90 degrees are 1.571 rad"
+    assert words in orch("check", degrees, "--json").json["notes"]
+    assert words in orch("run", degrees, "--json").json["warnings"]
+    assert orch("check", turn, "--json").json["notes"] == []
+
+
+@pytest.fixture
+def poses(turning, write):
+    """Two references that turn alike, one of them in +-180 degrees, and positions in mm beside positions in m."""
+    table = {"master": {"stop_time": 1.0, "step": 0.01}, "components": {}, "metrics": {}}
+    for name, wraps in (("wrapped", True), ("continuous", False)):
+        parameters = {"psi_0": np.radians(170.0), "rate": np.radians(40.0), "wraps": wraps}
+        table["components"][name] = {"fmu": str(turning), "parameters": parameters}
+    table["components"]["small"] = {"fmu": str(build.build([str(SOURCES / "millimetres.py")])["millimetres"])}
+    return lambda metrics: merged(table, {"metrics": metrics})
+
+
+WRAPPED, CONTINUOUS = "wrapped.eta_d.psi", "continuous.eta_d.psi"
+
+
+def test_differences_of_angles_are_on_the_circle_in_metrics(orch, write, poses):
+    """170 + 40 t degrees, as it is and in +-180 degrees: the error is 0, and 360 degrees where turns are meant."""
+    both = {"signal": WRAPPED, "reference": CONTINUOUS, "unit": "deg"}
+    metrics = {
+        "rmse": {"of": "rmse", **both},
+        "largest": {"of": "max_abs", **both},
+        "settled": {"of": "settling_time", "band": 0.1, **both},
+        "turns": {"of": "max_abs", "wrap": False, **both},
+        "as_it_stands": {"of": "final", "signal": CONTINUOUS, "unit": "deg"},
+    }
+    values = orch("run", write(poses(metrics)), "--json").json["metrics"]
+    assert values["rmse"] == pytest.approx(0.0, abs=1e-9)
+    assert values["largest"] == pytest.approx(0.0, abs=1e-9)
+    assert values["settled"] == 0.0
+    assert values["turns"] == pytest.approx(360.0)
+    assert values["as_it_stands"] == pytest.approx(210.0)
+
+
+def test_wrap_puts_a_signal_that_is_no_declared_angle_on_the_circle(orch, write, poses):
+    """The heading in deg of `small` is 350 less 0.01 degrees, its bearing -10: 0.01 apart, declared by nobody."""
+    both = {"of": "max_abs", "signal": "small.heading", "reference": "small.bearing"}
+    values = orch("run", write(poses({"plain": both, "wrapped": both | {"wrap": True}})), "--json").json["metrics"]
+    assert values["plain"] == pytest.approx(359.99)
+    assert values["wrapped"] == pytest.approx(0.01, abs=1e-9)
+
+
+def test_metrics_of_two_signals_convert_the_units_of_each(orch, write, poses):
+    """`small` is where the references are, at (0, 0, 2) m, in mm and deg; its heading is 349.99 deg."""
+    metrics = {
+        "distance": {"of": "distance", "signal": "wrapped.eta_d", "reference": "small.eta"},
+        "rmse_z": {"of": "rmse", "signal": "small.eta.z", "reference": "wrapped.eta_d.z"},
+        "heading": {"of": "heading_difference", "signal": "small.eta", "reference": "wrapped.eta_d", "stat": "max"},
+        "final_psi": {"of": "final", "signal": WRAPPED, "reference": "small.eta.psi", "unit": "deg"},
+        "band": {"of": "settling_time", "signal": "small.eta.z", "band": 1999.0},
+        "band_m": {"of": "settling_time", "signal": "small.eta.z", "band": 2.001, "unit": "m"},
+    }
+    values = orch("run", write(poses(metrics)), "--json").json["metrics"]
+    assert values["distance"] == pytest.approx(0.0, abs=1e-12)  # the difference of the numbers is 1998 m
+    assert values["rmse_z"] == pytest.approx(0.0, abs=1e-9)
+    assert values["heading"] == pytest.approx(179.99)  # 349.99 - 170
+    assert values["final_psi"] == pytest.approx(-139.99)  # -150 - 349.99 + 360
+    assert values["band"] is None  # 2000 mm are outside 1999 mm
+    assert values["band_m"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("spec", "key", "words"),
+    [
+        ({"of": "energy", "signal": "wrapped.eta_d", "max_power": 1.0}, "signal", "is in 'm'; energy takes commands"),
+        ({"of": "distance", "signal": "wrapped.eta_d_dot", "reference": "small.eta"}, "reference", "in 'mm'"),
+        (
+            {"of": "distance", "signal": "wrapped.eta_d_dot", "reference": "continuous.eta_d_dot"},
+            "signal",
+            "is in 'm/s'; distance takes positions",
+        ),
+        (
+            {"of": "heading_difference", "signal": "wrapped.eta_d_dot", "reference": "continuous.eta_d_dot"},
+            "signal",
+            "is in 'rad/s'; heading_difference takes an angle",
+        ),
+        ({"of": "rms", "signal": WRAPPED, "wrap": True}, "wrap", "give a reference"),
+        ({"of": "rmse", "signal": WRAPPED, "reference": CONTINUOUS, "wrap": 1}, "wrap", "neither true nor false"),
+        (
+            {"of": "rmse", "signal": "wrapped.eta_d.x", "reference": "continuous.eta_d.x", "wrap": True},
+            "wrap",
+            "is in 'm', which is no unit of angles",
+        ),
+    ],
+)
+def test_a_metric_of_units_that_do_not_fit_is_refused(problems, poses, spec, key, words):
+    result = problems(poses({"it": spec}))
+    assert any(k == f"metrics.it.{key}" and words in sentence for k, sentence in result), result

@@ -10,7 +10,7 @@ class OceanCurrent(Model):
     """
 
     v_c = Output(V_C)
-    velocity = Parameter(0.0, V_C.units, V_C.meaning, V_C.axes)
+    velocity = Parameter(0.0, V_C.units, V_C.meaning, V_C.axes, limits=V_C.limits)
 
     def step(self, t, h):
         return {"v_c": self.velocity}

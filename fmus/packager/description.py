@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -109,6 +110,9 @@ def _variable(scalar: Scalar) -> ET.Element:
         element.set("initial", "calculated")
     if continuous:
         value["unit"] = scalar.unit
+        if scalar.quantity:
+            value["quantity"] = scalar.quantity
+        value |= {name: repr(v) for name, v in zip(("min", "max"), scalar.limits, strict=True) if math.isfinite(v)}
     ET.SubElement(element, TYPES[scalar.type], value)
     return element
 

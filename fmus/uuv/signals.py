@@ -6,7 +6,12 @@ and BODY (x forward, y starboard, z down); symbols after SNAME and Fossen.
 
 from __future__ import annotations
 
+import math
+
 from .modelling.declare import Signal
+
+LARGEST_PITCH = math.radians(85.0)
+FASTEST_CURRENT = 10.0  # m/s; the strongest tidal streams run at about 8
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 
@@ -16,14 +21,17 @@ def linear_and_angular(linear: str, angular: str) -> tuple[str, ...]:
     return (linear,) * 3 + (angular,) * 3
 
 
-ETA = Signal(POSE, linear_and_angular("m", "rad"), "position in NED and zyx Euler angles")
+# zyx Euler angles are singular at theta = 90 degrees, where 1/cos(theta) enters their rates.
+UPRIGHT = {"theta": (-LARGEST_PITCH, LARGEST_PITCH)}
+
+ETA = Signal(POSE, linear_and_angular("m", "rad"), "position in NED and zyx Euler angles", UPRIGHT)
 ETA_D = Signal(POSE, ETA.units, "desired position in NED and zyx Euler angles")
 ETA_D_DOT = Signal(POSE, linear_and_angular("m/s", "rad/s"), "desired velocity in NED and Euler rates")
 ETA_D_DDOT = Signal(POSE, linear_and_angular("m/s2", "rad/s2"), "desired acceleration in NED and of the Euler angles")
 NU = Signal(("u", "v", "w", "p", "q", "r"), linear_and_angular("m/s", "rad/s"), "velocity in BODY")
 TAU = Signal(("X", "Y", "Z", "K", "M", "N"), linear_and_angular("N", "N.m"), "generalized force in BODY")
-U = Signal(("T1", "T2", "T3", "T4", "T5", "T6"), "1", "normalized thruster command, -1 to 1")
-V_C = Signal(("x", "y", "z"), "m/s", "current velocity in NED")
+U = Signal(("T1", "T2", "T3", "T4", "T5", "T6"), "1", "normalized thruster command, -1 to 1", (-1.0, 1.0))
+V_C = Signal(("x", "y", "z"), "m/s", "current velocity in NED", (-FASTEST_CURRENT, FASTEST_CURRENT))
 SPECIFIC_FORCE = Signal(("x", "y", "z"), "m/s2", "specific force in BODY: what an accelerometer at its origin reads")
 
 # Units of gains: generalized force per error of pose, per its rate, per its integral.

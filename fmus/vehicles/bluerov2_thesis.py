@@ -1,11 +1,19 @@
 """BlueROV2 as the thesis models it: five forces, no active pitch, a current that moves the water."""
 
+import math
+from dataclasses import replace
+
 import casadi as ca
 from uuv import ETA, NU, SPECIFIC_FORCE, TAU, V_C, Calculated, Input, Model, Output, Parameter, State, U
 from uuv.bluerov2 import BlueROV2Body, BlueROV2Thrusters, G
 from uuv.dynamics import coriolis, damping, mass, pinv_rows, restoring, rk4
 from uuv.kinematics import jacobian, rotation
+from uuv.signals import UPRIGHT
 from uuv.thrusters import thruster_matrix
+
+SUBMERGED = {
+    "z": (-0.01, math.inf)
+}  # m; buoyancy is that of a vehicle under water, and the thesis's task ends at z = 0
 
 
 class BlueROV2Thesis(BlueROV2Body, BlueROV2Thrusters, Model):
@@ -20,7 +28,7 @@ class BlueROV2Thesis(BlueROV2Body, BlueROV2Thrusters, Model):
     """
 
     u, v_c = Input(U), Input(V_C)
-    eta = State(ETA, output=True)
+    eta = State(replace(ETA, limits=UPRIGHT | SUBMERGED), output=True)
     nu = State(NU, output=True)
     tau = Output(TAU)
     specific_force = Output(SPECIFIC_FORCE)

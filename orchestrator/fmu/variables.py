@@ -32,6 +32,7 @@ OBJECTS = ("string", "binary")
 NUMBERS = tuple(kind for kind in KINDS if kind not in OBJECTS)
 FLOATS = ("real", "float32")
 TRUTHS = ("boolean", "truth")
+ANGLE = "angle"  # the quantity of the axes phi, theta and psi of models that are built here, and of builtins
 WHOLE = tuple(kind for kind in NUMBERS if kind not in (*FLOATS, *TRUTHS))
 
 # FMI's types, by version: the kind they are, and what the getters and setters call them.
@@ -74,6 +75,7 @@ class Variable:
     depends: tuple[str, ...] | None = ()  # of an output: the inputs of the same instant it depends on; None: all
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
     limits: tuple[float, float] = (-math.inf, math.inf)  # min and max
+    quantity: str = ""  # as the FMU writes it
     shape: tuple[int, ...] = ()  # of the array it is an element of
     element: int = 0  # its place in that array, row by row
     fixed: bool = False  # a constant, or a parameter that cannot be set
@@ -82,6 +84,11 @@ class Variable:
     def feedthrough(self) -> bool:
         """Whether an output depends on an input of the same instant, as far as the FMU says."""
         return self.depends is None or bool(self.depends)
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether differences of its values are differences on the circle; Modelica's "Angle" may count turns."""
+        return self.quantity == ANGLE
 
     @property
     def array(self) -> str:
@@ -132,6 +139,7 @@ def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
             depends=depends,
             items=tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
             limits=(_limit(v, "min", -math.inf), _limit(v, "max", math.inf)),
+            quantity=v.quantity or "",
             fixed=v.variability == "constant",
         )
         yield from _elements(whole, v, structure) if v.dimensions else (whole,)

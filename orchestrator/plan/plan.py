@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -96,7 +97,7 @@ class Plan:
 
     @property
     def warnings(self) -> list[str]:
-        """Sentences on what goes against what an FMU declares: its min and max, and its internal step."""
+        """Sentences on what goes against an FMU's min, max or internal step, and on angles that look like degrees."""
         limits = [
             f"{component.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
             for component in self.components
@@ -105,6 +106,13 @@ class Plan:
             for side, limit, which in [("below", low, "min"), ("above", high, "max")]
             if isinstance(value, (int, float)) and (value < low if which == "min" else value > high)
         ]
+        degrees = [
+            f"{component.name}: {name} = {value:g} rad is more than a full turn; {value:g} degrees are "
+            f"{math.radians(value):.4g} rad"
+            for component in self.components
+            for name, value in [*component.parameters.items(), *component.start.items()]
+            if component.fmu.variables[name].unit == "rad" and abs(value) > 2 * math.pi
+        ]
         steps = [
             f"{component.name}: steps every {step:g} s, no multiple of the {inner:g} s in which its FMU steps inside "
             "(fixedInternalStepSize): what it gives may be late"
@@ -112,7 +120,7 @@ class Plan:
             for step, inner in [(component.period * self.experiment.master.step, component.fmu.internal_step)]
             if inner and abs(step / inner - max(1, round(step / inner))) > 1e-6
         ]
-        return [*limits, *steps]
+        return [*limits, *degrees, *steps]
 
     @property
     def cautions(self) -> list[str]:

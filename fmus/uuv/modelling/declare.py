@@ -11,23 +11,31 @@ and a native one come from the same definition.
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
 GROUPS = ("parameter", "calculated", "input", "state", "output")
 FIRST = 2  # places 0 and 1 hold t and h
+ANGLES = ("phi", "theta", "psi")  # axes that are angles, where their unit is rad
+
+Limits = tuple[float, float]  # least and largest
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A named set of axes.  `axes`: () for a scalar.  `units`: one for all axes, or one an axis."""
+    """A named set of axes.  `axes`: () for a scalar.  `units`: one for all axes, or one an axis.
+
+    `limits`: (least, largest) that a model is valid for, or those of some axes; a run warns where a value leaves them.
+    """
 
     axes: tuple[str, ...]
     units: str | tuple[str, ...]
     meaning: str
+    limits: Limits | Mapping[str, Limits] = field(default=(-math.inf, math.inf), hash=False)
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,8 @@ class Scalar:
     start: float
     meaning: str
     type: type = float
+    limits: Limits = (-math.inf, math.inf)
+    quantity: str = ""  # "angle", whose differences are on the circle
 
 
 class Variable:
@@ -64,15 +74,19 @@ class Variable:
     def scalars(self, place: int) -> Iterator[Scalar]:
         """The FMI variables of this one; the first lies at `place`."""
         units = (self.signal.units,) * self.size if isinstance(self.signal.units, str) else self.signal.units
+        limits = self.signal.limits
         for i, (suffix, unit, start) in enumerate(zip(self._suffixes(), units, self.start, strict=True)):
+            axis = suffix.lstrip(".")
             yield Scalar(
                 self.name + suffix,
                 place + i,
                 self.causality,
                 unit,
                 start,
-                f"{suffix.lstrip('.')}: {self.signal.meaning}" if suffix.startswith(".") else self.signal.meaning,
+                f"{axis}: {self.signal.meaning}" if suffix.startswith(".") else self.signal.meaning,
                 self.type,
+                limits.get(axis, (-math.inf, math.inf)) if isinstance(limits, Mapping) else limits,
+                "angle" if axis in ANGLES and unit == "rad" else "",
             )
 
     def _suffixes(self) -> list[str]:
@@ -110,7 +124,7 @@ class Parameter(Variable):
     """A number set before the run.  `default`: a number, True or False, or a sequence; `unit`: one, or one an axis.
 
     A sequence is a vector over `axes`, or numbered `name[1]`, `name[2]`, ... without them; a number with `axes`
-    holds for each.  `type=int` makes an FMI Integer.
+    holds for each.  `type=int` makes an FMI Integer.  `limits`: as of a Signal.
     """
 
     group, causality = "parameter", "parameter"
@@ -122,10 +136,11 @@ class Parameter(Variable):
         meaning: str = "",
         axes: tuple[str, ...] = (),
         type: type = float,
+        limits: Limits | Mapping[str, Limits] = (-math.inf, math.inf),
     ):
         shape = (len(axes),) if axes else (len(default),) if isinstance(default, Sequence) else ()
         kind = bool if isinstance(default, bool) else type
-        super().__init__(Signal(axes, unit, meaning), default, shape, kind)
+        super().__init__(Signal(axes, unit, meaning, limits), default, shape, kind)
 
 
 class Calculated(Variable):

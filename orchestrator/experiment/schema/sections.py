@@ -264,6 +264,13 @@ METRIC = Section(
             example='"mm"',
         ),
         Key(
+            name="wrap",
+            type=TRUTH,
+            absent="true where one of both is an angle: an axis phi, theta or psi",
+            meaning="Whether signal - reference is on the circle, the shortest way round; `false` counts turns.",
+            example="false",
+        ),
+        Key(
             name="after",
             type=number(least=0.0),
             unit="s",
@@ -282,7 +289,7 @@ METRIC = Section(
         Key(
             name="band",
             type=positive("; give a positive number"),
-            unit="of the number's unit",
+            unit="the key `unit`, without it the signal's unit",
             meaning="The error counts as zero within it.",
             example="0.05",
         ),

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from ...fmu.variables import Variable
-from ...names import ETA_AXES, NU_AXES
+from ...fmu.variables import ANGLE, Variable
+from ...names import ANGLE_AXES, ETA_AXES, NU_AXES
 
 ETA_UNITS = dict(zip(ETA_AXES, ("m", "m", "m", "rad", "rad", "rad"), strict=True))  # {axis: unit}
 NU_UNITS = dict(zip(NU_AXES, ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s"), strict=True))
@@ -22,7 +22,17 @@ def scalar(name: str, causality: str, unit: str, description: str, **more: Any) 
 
 def vector(name: str, causality: str, units: Mapping[str, str], description: str, **more: Any) -> list[Variable]:
     """A variable for each axis.  units: {axis: unit}."""
-    return [scalar(f"{name}.{axis}", causality, unit, description, **more) for axis, unit in units.items()]
+    return [
+        scalar(
+            f"{name}.{axis}",
+            causality,
+            unit,
+            description,
+            quantity=ANGLE if axis in ANGLE_AXES and unit == "rad" else "",
+            **more,
+        )
+        for axis, unit in units.items()
+    ]
 
 
 def numbered(variables: Iterable[Variable]) -> tuple[Variable, ...]:

@@ -29,6 +29,7 @@ class DatasetSpec:
     units: str
     long_name: str
     causality: str
+    quantity: str = ""
 
     @property
     def path(self) -> str:
@@ -66,6 +67,7 @@ def datasets_of(plan: Plan) -> tuple[DatasetSpec, ...]:
             units=variable.unit or "1",
             long_name=variable.description or name,
             causality=variable.causality,
+            quantity=variable.quantity,
         )
         for component, variable, shape in _variables(plan)
     )
@@ -100,7 +102,7 @@ def image(components: tuple[str, ...], specs: tuple[DatasetSpec, ...], rows: int
 def _add(group: h5py.Group, spec: DatasetSpec, rows: int, time: h5py.Dataset) -> h5py.Dataset:
     name, dataset = spec.name, _create(group, spec, rows)
     attributes = {"units": spec.units, "long_name": spec.long_name, "causality": spec.causality}
-    create_attributes(dataset, attributes)
+    create_attributes(dataset, attributes | ({"quantity": spec.quantity} if spec.quantity else {}))
     scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(spec.shape, 1)]
     for i, scale in enumerate(scales, 1):
         scale.make_scale(f"{name}_dim{i}")

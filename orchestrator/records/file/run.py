@@ -14,6 +14,7 @@ import numpy as np
 
 from ... import warning
 from ...errors import StoreError, did_you_mean
+from ...fmu.variables import ANGLE
 from ...names import split_axis
 from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
@@ -130,6 +131,13 @@ class Run:
         if name not in self.signals and name.endswith("]"):
             variable = variable.rpartition("[")[0]
         return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
+
+    def is_angle(self, name: str) -> bool:
+        """Whether differences of a signal are differences on the circle; of records without quantities: no."""
+        component, _, variable = name.partition(".")
+        return name in self.signals and self._get(
+            name, lambda file: file[component][variable].attrs.get("quantity") == ANGLE
+        )
 
     def fact(self, component: str, name: str) -> Any:
         """An attribute of a component, such as fmu_sha256 or packaging."""

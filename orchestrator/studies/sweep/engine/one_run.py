@@ -83,6 +83,7 @@ class MetricSignals(Observer):
         ends = {str(spec[end]) for spec in specs for end in ("signal", "reference") if end in spec}
         self._grid = plan.experiment.grid
         self._units: dict[str, str] = {}
+        self._angles: set[str] = set()
         self._column: dict[str, tuple[str, int]] = {}  # {signal: its kind, and its column among those chosen}
         self._chosen: dict[str, list[int]] = {}  # {kind: columns of a block}
         count: dict[str, int] = {}
@@ -93,6 +94,8 @@ class MetricSignals(Observer):
                 chosen = self._chosen.setdefault(kind, [])
                 self._column[name] = kind, len(chosen)
                 self._units[name] = variable.unit or "1"
+                if variable.is_angle:
+                    self._angles.add(name)
                 chosen.append(index)
         self._ticks: list[int] = []
         self._blocks: dict[str, list[Table]] = {kind: [] for kind in self._chosen}
@@ -123,6 +126,9 @@ class MetricSignals(Observer):
 
     def units(self, name: str) -> str:
         return self._units[name]
+
+    def is_angle(self, name: str) -> bool:
+        return name in self._angles
 
 
 class _EveryNth(Observer):
