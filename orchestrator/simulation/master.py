@@ -21,6 +21,7 @@ from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
 from .bursts import Bursts
 from .initialization import AlgebraicLoop, initialize
+from .limits import Limits
 from .loop import Loop, choose, out_of_date
 from .observer import Interrupt, Observer, Outcome
 from .stepper import ComponentFailed
@@ -94,6 +95,8 @@ def _step_all(
     loop = choose(system, bursts, timing, interrupt)
     if message := out_of_date():
         outcome.warnings.append(message)
+    limits = Limits(system)
+    observers = [*observers, limits]
     _hand_over(loop, observers)
     first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
@@ -125,6 +128,7 @@ def _step_all(
         )
         for observer in observers:
             outcome.timing |= observer.facts()
+        outcome.warnings += limits.warnings()
     if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
