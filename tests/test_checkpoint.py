@@ -177,7 +177,8 @@ def test_another_controller_takes_over_from_a_checkpoint(orch, spiral, write, tm
     assert branch.code == 0, branch.err
     assert f"from              run {done['run_id']} at t = 0.03 s; reinitialized: controller" in branch.out
     shown = orch("show", "last")
-    assert f"run {done['run_id']} at t = 0.03 s, {checkpoint}; reinitialized: controller" in shown.out
+    words = " ".join(shown.out.split())  # it may run over several lines
+    assert f"run {done['run_id']} at t = 0.03 s, {checkpoint}; reinitialized: controller" in words
     facts = orch("show", "last", "--json").json
     assert facts["from_time"] == 0.03
     assert facts["from_run"] == done["run_id"]

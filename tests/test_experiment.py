@@ -216,7 +216,7 @@ def test_python_takes_the_same_changes_as_values(problems, spiral):
         ("components.controler.fmu=pid", "no component 'controler'; did you mean 'controller'?"),
         ("mastr.step=1", "did you mean 'master'"),
         ("master.step.x=1", "unknown key; did you mean 'step'"),
-        (".=1", "no dotted key"),
+        (".=1", "not a dotted key"),
         ("master.step", "write --set KEY=VALUE"),
         ("=1", "write --set KEY=VALUE"),
     ],
