@@ -10,7 +10,7 @@ from orchestrator.studies.convergence import assess, observed_order
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("steps", [(4e-3, 2e-3, 1e-3), (1e-2, 5e-3, 1e-3)])
-def test_the_order_of_a_power_law_is_found(order, steps):
+def test_the_order_of_a_power_law_is_determined(order, steps):
     values = tuple(3.0 + 7.0 * h**order for h in steps)
     # the values differ by as little as 7e-12 of 3: rounding leaves four digits of the order
     assert observed_order(steps, values) == pytest.approx(order, rel=1e-3)
@@ -22,16 +22,16 @@ def test_values_that_do_not_approach_anything_have_no_order():
 
 
 def test_the_error_is_the_distance_to_the_extrapolated_limit():
-    found = assess("m", "m", {h: 2.0 + 100.0 * h for h in (4e-3, 2e-3, 1e-3)}, own=2e-3)
-    assert found.limit == pytest.approx(2.0, rel=1e-9)  # exact but for rounding: the model is linear in h
-    assert found.error == pytest.approx(0.2, rel=1e-9)
-    assert not found.converged(2e-3)
+    metric = assess("m", "m", {h: 2.0 + 100.0 * h for h in (4e-3, 2e-3, 1e-3)}, own=2e-3)
+    assert metric.limit == pytest.approx(2.0, rel=1e-9)  # exact but for rounding: the model is linear in h
+    assert metric.error == pytest.approx(0.2, rel=1e-9)
+    assert not metric.converged(2e-3)
 
 
 def test_a_metric_that_is_the_same_at_every_step_is_converged():
-    found = assess("m", "m", dict.fromkeys((4e-3, 2e-3, 1e-3), 2.0), own=1e-3)
-    assert found.error == 0.0
-    assert found.converged(1e-3)
+    metric = assess("m", "m", dict.fromkeys((4e-3, 2e-3, 1e-3), 2.0), own=1e-3)
+    assert metric.error == 0.0
+    assert metric.converged(1e-3)
 
 
 @pytest.fixture

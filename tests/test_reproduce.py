@@ -306,11 +306,11 @@ def pairs(**changed):
     ids=["3 mm", "0.6 deg"],
 )
 def test_a_pair_that_does_not_hold_its_object_fails_the_gate(offset, text):
-    found = claims_gripping.claims(pairs(nstsmc=offset))
-    failing = [claim for claim in found if claim.fails and "NSTSMC" in claim.text]
+    claims = claims_gripping.claims(pairs(nstsmc=offset))
+    failing = [claim for claim in claims if claim.fails and "NSTSMC" in claim.text]
     assert [claim.section for claim in failing] == ["5.3", "5.4"]
     assert all(text in claim.text and claim.verdict == FAILS for claim in failing)
-    good = [claim for claim in found if text in claim.text and "NSTSMC" not in claim.text]
+    good = [claim for claim in claims if text in claim.text and "NSTSMC" not in claim.text]
     assert [claim.verdict for claim in good] == [HOLDS] * 4
 
 
@@ -528,7 +528,7 @@ def test_an_unknown_figure_exits_2_and_starts_nothing(tmp_path):
 
 @pytest.mark.slow
 def test_one_figure_runs_its_case_once_and_is_drawn_once(tmp_path):
-    for expected in ("figures: 1, drawn anew: 1", "figures: 1, drawn anew: 0"):
+    for expected in ("figures: 1, redrawn: 1", "figures: 1, redrawn: 0"):
         process = orch_reproduce("--only", "fig5.1", cwd=tmp_path)
         out, err = process.communicate(timeout=120)
         assert process.returncode == 0, err
@@ -586,5 +586,5 @@ def test_the_whole_quick_reproduction_is_in_band_and_fast_the_second_time(tmp_pa
     again = orch_reproduce("--quick", cwd=tmp_path)
     out, err = again.communicate(timeout=120)
     assert again.returncode == 0
-    assert "figures: 80, drawn anew: 0" in out
+    assert "figures: 80, redrawn: 0" in out
     assert time.monotonic() - began < 20

@@ -123,7 +123,7 @@ def test_zipped_lists_change_together(orch, sweep, write):
     assert [(run["values"][FMU], run["values"]["master.step"]) for run in runs] == [("pid", 1e-3), ("mfsosmc", 5e-4)]
 
 
-def test_all_problems_of_a_sweep_are_told_at_once(orch, sweep, write):
+def test_all_problems_of_a_sweep_are_reported_at_once(orch, sweep, write):
     sweep["sweep"] |= {"draw": 3, "design": "sobl", "zip": [["nobody"]]}
     sweep["sweep"]["vary"] |= {"master.seed": {"distribution": "unifrm"}, MASS: {**UNIFORM, "low": 20.0}, FMU: []}
     for command in ("sweep", "check"):
@@ -163,7 +163,7 @@ def test_keys_that_would_overwrite_each_other_are_refused(orch, sweep, write):
     assert f"is '{MASS}' in other words" in answer.err
 
 
-def test_a_distribution_that_is_no_name_is_told(orch, sweep, write):
+def test_a_distribution_that_is_not_a_name_is_reported(orch, sweep, write):
     sweep["sweep"]["vary"][MASS] = {"distribution": {"uniform": 1}}
     answer = orch("check", write(sweep))
     assert answer.code == 2
@@ -473,12 +473,12 @@ def judged(tmp_path):
 
 
 def test_statistics_are_those_of_scipy(orch, judged):
-    found = orch("compare", "--sweep", "0123", "--json").json
-    a, b = found["summaries"][:2]
+    statistics = orch("compare", "--sweep", "0123", "--json").json
+    a, b = statistics["summaries"][:2]
     assert (a["n"], a["mean"], a["median"]) == (9, np.mean([*A, 9.0]), 3.0)
     assert b["std"] == pytest.approx(np.std(B, ddof=1), rel=1e-12)
     assert b["ci95"][0] < b["mean"] < b["ci95"][1]
-    pairs = {(p["first"], p["second"]): p for p in found["pairs"]}
+    pairs = {(p["first"], p["second"]): p for p in statistics["pairs"]}
     numbers = {"a": A, "b": B, "c": C}
     raw = {pair: stats.wilcoxon(np.subtract(*(numbers[n] for n in pair)), zero_method="pratt").pvalue for pair in pairs}
     for pair, p in pairs.items():
@@ -486,13 +486,13 @@ def test_statistics_are_those_of_scipy(orch, judged):
         assert p["p"] == pytest.approx(raw[pair], rel=1e-12)
         assert p["difference"] == pytest.approx(np.mean(numbers[pair[0]]) - np.mean(numbers[pair[1]]), rel=1e-12)
     smallest, middle, largest = sorted(raw.values())
-    corrected = [p["p_holm"] for p in sorted(found["pairs"], key=lambda p: p["p"])]
+    corrected = [p["p_holm"] for p in sorted(statistics["pairs"], key=lambda p: p["p"])]
     holm = np.minimum(1, np.maximum.accumulate([3 * smallest, 2 * middle, largest]))
     assert corrected == pytest.approx(holm, rel=1e-12)
     assert pairs["a", "b"]["effect"] == -1.0  # a is smaller wherever they differ
     assert pairs["a", "b"]["smaller"] == ("a" if pairs["a", "b"]["p_holm"] < 0.05 else None)
-    assert found["failures"] == {"a": 0, "b": 1, "c": 1}
-    assert orch("compare", "--sweep", "last", "--json").json == found
+    assert statistics["failures"] == {"a": 0, "b": 1, "c": 1}
+    assert orch("compare", "--sweep", "last", "--json").json == statistics
 
 
 def test_a_sweep_is_compared_in_markdown_and_latex(orch, judged, tmp_path):
@@ -508,7 +508,7 @@ def test_a_sweep_is_compared_in_markdown_and_latex(orch, judged, tmp_path):
     assert orch("compare", "--sweep", "known", "--no-pairs").out.count("first") == 0
 
 
-def test_what_a_sweep_does_not_have_is_told_with_the_nearest(orch, judged):
+def test_a_name_that_a_sweep_lacks_is_answered_with_the_nearest_one(orch, judged):
     for arguments, words in [
         (["--sweep", "0123456798"], "did you mean '0123456789'"),
         (["--sweep", "last", "--metrics", "rsme"], "did you mean 'rmse'"),
@@ -535,7 +535,7 @@ def test_a_sweep_is_drawn_and_reported(orch, judged, tmp_path):
     assert not re.search(r"(src|href)=\"https?:", text)
 
 
-def test_without_dask_a_sentence_says_what_to_install(python, sweep, write):
+def test_without_dask_the_message_says_what_to_install(python, sweep, write):
     path = write(sweep)
     answer = python(f"""
 import sys

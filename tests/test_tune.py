@@ -30,7 +30,7 @@ def tuning(spiral):
     return spiral
 
 
-def test_all_problems_of_a_search_are_told_at_once(orch, tuning, write):
+def test_all_problems_of_a_search_are_reported_at_once(orch, tuning, write):
     tuning["sweep"]["tune"] |= {"objective": "rmse_y", "trials": 0, "goal": "minimise", "budget": 3}
     bad = {"K_p.x": {"distribution": "normal"}, "K_p.y": SPACE["K_p.x"] | {"low": 0}}
     tuning["sweep"]["tune"]["search"]["pid"] = bad
@@ -62,7 +62,7 @@ def test_a_search_needs_neither_draws_nor_lists_of_a_sweep(orch, tuning, write):
     assert "sweep.draws: is missing" in answer.err
 
 
-def test_a_parameter_that_the_controller_lacks_is_told(orch, tuning, write):
+def test_a_parameter_that_the_controller_lacks_is_reported(orch, tuning, write):
     tuning["sweep"]["tune"]["search"]["pid"] = {"K_q.x": SPACE["K_p.x"]}
     answer = orch("tune", write(tuning))
     assert answer.code == 2
@@ -88,6 +88,6 @@ def test_a_study_that_goes_on_ends_as_one_that_was_not_interrupted(orch, tuning,
     # The comparison is on draws that no trial has seen: 4, 5 and 6.
     lines = Path(whole["final"]["table"]).read_text().splitlines()
     assert {line.split(",")[1] for line in lines[1:]} == {"4", "5", "6"}
-    found = orch("compare", "--sweep", whole["final"]["sweep_id"], "--results", "whole", "--json").json
-    assert found["by"] == "title"
-    assert found["contenders"] == ["pid", "mfsosmc", "pid tuned", "mfsosmc tuned"]
+    comparison = orch("compare", "--sweep", whole["final"]["sweep_id"], "--results", "whole", "--json").json
+    assert comparison["by"] == "title"
+    assert comparison["contenders"] == ["pid", "mfsosmc", "pid tuned", "mfsosmc tuned"]

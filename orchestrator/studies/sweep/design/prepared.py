@@ -1,4 +1,4 @@
-"""A sweep made ready: its experiment read, its models built, every combination of its lists checked."""
+"""A sweep before it runs: its experiment is read, its models are built, every combination of its lists is checked."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ID_LENGTH = 10
 
 @dataclass(frozen=True, kw_only=True)
 class SweepJob:
-    """What a worker must know of a sweep to run any of its runs.
+    """What a worker needs to know of a sweep to run any of its runs.
 
     path, text: of the experiment; set, swap: of the command line; fmus: {name in the experiment: digest}; folder: of
     the sweep, see `storage`; facts: root attributes of every record.
@@ -44,7 +44,7 @@ class SweepJob:
     facts: Mapping[str, str]
 
     def experiment(self, point: DesignPoint) -> Experiment:
-        """The ordinary experiment that a row of the design matrix is."""
+        """The experiment of one row of the design matrix."""
         sets, swaps = changes(point.values)
         return parse(Path(self.path), self.text, {**self.set, **sets}, {**self.swap, **swaps})
 
@@ -159,10 +159,10 @@ def prepare_as(experiment: Experiment, spec: SweepSpec, packaging: str, report: 
 
 
 def changes(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """What a run lays over the file: `set`, and `swap` where the FMU of a component varies.
+    """What a run sets over the file: `set`, and `swap` for components whose FMU varies.
 
-    A swapped component loses the parameters that the file has for it, as with --swap, and in every run, the file's own
-    FMU included: each FMU is at its defaults unless the sweep says otherwise.
+    As with --swap, such a component loses the parameters that the file has for it, in every run, that with the file's
+    own FMU included: each FMU has its defaults unless the sweep says otherwise.
     """
     swaps = {parts[1]: value for key, value in values.items() if (parts := _swapped(key))}
     return {key: value for key, value in cells_of(values).items() if not _swapped(key)}, swaps
@@ -174,7 +174,7 @@ def _swapped(key: str) -> list[str]:
 
 
 def _overruled(spec: SweepSpec, experiment: Experiment) -> list[Problem]:
-    """What the command line says and the sweep would say otherwise."""
+    """Keys that the command line sets although they vary in the sweep."""
     varying = [*spec.distributions, *(key for keys, _ in spec.lists for key in keys)]
     swapped = {f"components.{name}.fmu" for name in experiment.changes["swap"]}
     given = [f"--set {key}" for key in experiment.changes["set"] if key in varying]

@@ -73,7 +73,7 @@ def ignore_ctrl_c() -> None:
 
 
 def mismatch(client: Client) -> str:
-    """Why the workers may give other numbers than this process; "" where nothing speaks for it."""
+    """Why the workers may give other numbers than this process; "" if there is no reason."""
     here = sys.version_info[:2]
     others = {tuple(version) for version in client.run(_version).values()}
     if others - {here}:

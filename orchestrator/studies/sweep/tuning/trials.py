@@ -1,8 +1,8 @@
-"""The trials of one controller: which runs the next one asks for, and what becomes of it.
+"""The trials of one controller: which runs the next trial needs, and whether it is pruned.
 
 The first trial is the controller's defaults.  A trial runs its draws in quarters, and is pruned where the mean so far
 is worse than the median of the earlier trials at that point, or where a run fails.  The sampler of trial n is seeded by
-the sweep's seed and n alone, so a study that was interrupted goes on as if it had not been.
+the sweep's seed and n alone, so that a study that was interrupted goes on as if it had not been.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Asking = Generator[list[DesignPoint], dict[int, PointResult], None]  # yields ru
 
 @dataclass(frozen=True, kw_only=True)
 class TunedController:
-    """What came of one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
+    """The result for one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
 
     fmu: str
     parameters: Mapping[str, Any]
@@ -68,7 +68,7 @@ class ControllerSearch:
         for trial in self._study.get_trials(deepcopy=False, states=(states.RUNNING, states.WAITING)):
             if trial.state == states.WAITING:
                 trial = self._study.ask()
-            self._study.tell(trial.number, state=states.FAIL)  # it was interrupted
+            self._study.tell(trial.number, state=states.FAIL)  # its process was interrupted
         self._defaults = _defaults(prepared, self._space, fmu)
         outside = [name for name, value in self._defaults.items() if not _lies_in(self._space[name], value)]
         if outside:
@@ -85,7 +85,7 @@ class ControllerSearch:
         return float(self._study.best_value) if completed else math.nan
 
     def run(self) -> Asking:
-        """Asks for runs, is sent how they ended; returns when all trials have ended."""
+        """Yields the runs that the next trial needs, is sent how they ended; returns when all trials have ended."""
         while (number := self.ended) < self._spec.trials:
             # One start for all controllers, and the same one when the study is resumed.
             digest = hashlib.sha256(f"{self._seed}/trial/{number}".encode()).digest()

@@ -73,7 +73,7 @@ def case_name(task: str, controller: str, currents: bool = False, t_b: int | Non
 def _cases() -> dict[str, Case]:
     spirals: list[tuple[str, int | None]] = [("pid", None), ("feedback_linearization", None), ("lyapunov", None)]
     spirals += [("mfsosmc", t_b) for t_b in TIME_BASES]
-    found = [
+    cases = [
         Case(
             name=case_name("spiral", controller, currents, t_b),
             task="spiral",
@@ -84,14 +84,14 @@ def _cases() -> dict[str, Case]:
         for currents in (False, True)
         for controller, t_b in spirals
     ]
-    found += [
+    cases += [
         Case(
             name=case_name("gripping", controller, currents), task="gripping", controller=controller, currents=currents
         )
         for currents in (False, True)
         for controller in ("mfsosmc", "nstsmc", "ftsosmc")
     ]
-    return {case.name: case for case in found}
+    return {case.name: case for case in cases}
 
 
 CASES = _cases()

@@ -54,10 +54,12 @@ class ThesisFigure:
 
 
 def _figures() -> dict[str, ThesisFigure]:
-    found: list[ThesisFigure] = []
+    figures: list[ThesisFigure] = []
 
     def add(title: str, kind: str, cases: tuple[str, ...], **options: str) -> None:
-        found.append(ThesisFigure(number=f"5.{len(found) + 1}", title=title, kind=kind, cases=cases, options=options))
+        figures.append(
+            ThesisFigure(number=f"5.{len(figures) + 1}", title=title, kind=kind, cases=cases, options=options)
+        )
 
     for case, controller in TITLES.items():
         for kind, option, title in PER_CONTROLLER:
@@ -88,7 +90,7 @@ def _figures() -> dict[str, ThesisFigure]:
             add(f"Error convergence on the {axis} {of} {where}", "errors", cases, axis=axis)
         add(f"Euclidean distance between the UUVs {where}", "distance", cases)
         add(f"Difference between the psi angles of the UUVs {where}", "heading", cases)
-    return {figure.number: figure for figure in found}
+    return {figure.number: figure for figure in figures}
 
 
 FIGURES = _figures()

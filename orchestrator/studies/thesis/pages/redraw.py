@@ -23,6 +23,7 @@ CODE = (  # that decides how a figure looks
     "orchestrator.studies.thesis.cases.chapter5",
     "orchestrator.studies.thesis.cases.signals",
     "orchestrator.studies.thesis.published.steps",
+    "orchestrator.views.figures",
     "orchestrator.views.figures.panels",
 )
 

@@ -22,7 +22,7 @@ def text(reproduction: Reproduction, folder: str) -> str:
     if reproduction.claims:
         lines.append(thesis_claims.tally(reproduction.claims))
     if reproduction.figures:
-        lines.append(f"figures: {len(reproduction.figures)}, drawn anew: {reproduction.drawn}")
+        lines.append(f"figures: {len(reproduction.figures)}, redrawn: {reproduction.drawn}")
     lines += [f"OUTSIDE  {sentence}" for sentence in reproduction.outside]
     return "\n".join([*lines, folder])
 

@@ -119,18 +119,18 @@ def metric_name(quantity: str) -> str:
 
 def counts(verdicts: Sequence[Verdict]) -> dict[str, dict[str, int]]:
     """{controller: {"cells", "within 1%", ..., "gated", "outside"}}; means are not counted."""
-    found: dict[str, dict[str, int]] = {}
+    by_controller: dict[str, dict[str, int]] = {}
     for verdict in verdicts:
         if verdict.cell.quantity == "mean":
             continue
         names = ["cells", *(f"within {g:.0%}" for g in GRADES), "gated", "outside"]
-        row = found.setdefault(LABELS[CASES[verdict.cell.case].controller], dict.fromkeys(names, 0))
+        row = by_controller.setdefault(LABELS[CASES[verdict.cell.case].controller], dict.fromkeys(names, 0))
         row["cells"] += 1
         for grade in GRADES:
             row[f"within {grade:.0%}"] += abs(verdict.error) <= grade
         row["gated"] += verdict.met is not None
         row["outside"] += verdict.met is False
-    return found
+    return by_controller
 
 
 def best(verdicts: Sequence[Verdict]) -> tuple[set[PublishedCell], set[PublishedCell]]:
