@@ -1,5 +1,6 @@
 """Sweeps: the design, the runs on Dask's processes, what resuming finds, and the statistics."""
 
+import contextlib
 import json
 import os
 import re
@@ -195,7 +196,12 @@ def table_of(folder):
 
 def test_a_sweep_is_ordinary_runs_and_is_not_repeated(orch, sweep, write, tmp_path):
     path = write(sweep)
-    done = orch("sweep", path, "--json").json
+    with socket.socket() as other, contextlib.suppress(OSError):
+        other.bind(("127.0.0.1", 8787))  # Dask's own port; another sweep may have it
+        other.listen()
+        answer = orch("sweep", path, "--json")
+    assert answer.err == ""
+    done = answer.json
     assert (done["completed"], done["failed"], done["missing"], done["reused"]) == (6, 0, 0, 0)
     lines = Path(done["table"]).read_text().splitlines()
     cells = dict(zip(lines[0].split(","), lines[4].split(","), strict=True))

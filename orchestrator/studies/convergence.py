@@ -6,14 +6,14 @@ With m(h) = m_0 + c h^p, three steps give the observed order p, and the two fine
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import ExperimentError, Problem
 from ..metrics import unit_of
-from ..runs.prepare import prepare
+from ..runs.prepare import Report, prepare
 from ..views import figures
 from ..views.tables import terminal
 from . import processes
@@ -62,7 +62,7 @@ def study(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str] | None = None,
     results: str | Path = "results",
-    report: Callable[[str], None] = lambda _: None,
+    report: Report = lambda _: None,
 ) -> ConvergenceStudy:
     """Run an experiment at several communication steps; runs whose records are in the store are not repeated.
 
@@ -88,7 +88,7 @@ def study(
         problems.append(Problem("metrics", "the experiment has none; convergence is judged by its metrics"))
     if problems:
         raise ExperimentError(plan.experiment.path, problems)
-    commands = [processes.run_of(f"step {step:g} s", plans[step], results) for step in chosen]
+    commands = [processes.command_of(f"step {step:g} s", plans[step], results) for step in chosen]
     ended = processes.run_plans(commands, CommandProgress(len(commands), report))
     by_step = dict(zip(chosen, ended, strict=True))
     units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}

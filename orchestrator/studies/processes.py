@@ -74,7 +74,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_of(name: str, plan: Plan, results: str | Path) -> ChildCommand:
+def command_of(name: str, plan: Plan, results: str | Path) -> ChildCommand:
     """The command that runs a plan into the store `results`, see `runs.__main__`."""
     job = {"plan": plan, "results": str(results), "command": sys.argv}
     cost = (plan.steps - plan.first) * len(plan.components)
@@ -82,7 +82,7 @@ def run_of(name: str, plan: Plan, results: str | Path) -> ChildCommand:
 
 
 def run_plans(commands: Sequence[ChildCommand], watch: Watch) -> list[dict[str, Any]]:
-    """Run commands of `run_of`; returns their results in the order of `commands`.
+    """Run commands of `command_of`; returns their results in the order of `commands`.
 
     Raises RunError where one failed, OrchError where one could not start, with the reasons of all.
     """

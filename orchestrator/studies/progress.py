@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
+from ..runs.prepare import Report
 from ..runs.progress import ProgressLine, bar, time_left
 from .processes import ChildResult
 
@@ -31,7 +32,7 @@ class TrialProgress:
 class CommandProgress:
     """The names of the commands that run.  Each one that has ended is reported, with `quiet` only if it failed."""
 
-    def __init__(self, commands: int, report: Callable[[str], None], quiet: bool = False):
+    def __init__(self, commands: int, report: Report, quiet: bool = False):
         self._commands, self._report, self._quiet, self._ended = commands, report, quiet, 0
         self._line = ProgressLine()
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from ...errors import OrchError, StoreError
 from ...files import write_text
+from ...runs.prepare import Report
 from .cases.chapter5 import CASES, Case, spirals
 from .cases.extremes import extremes_of
-from .cases.runs import CaseRecord, Report, run_cases
+from .cases.runs import CaseRecord, run_cases
 from .pages import index, summary
 from .pages.figures import FIGURES
 from .pages.redraw import redraw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ....experiment.sweep import SweepSpec
 from ....plan import resolve
 from ....plan.plan import Plan
 from ....records.compare.side_by_side import Column
-from ....runs.prepare import build_models, load_experiment
+from ....runs.prepare import Report, build_models, load_experiment
 from . import matrix
 from .matrix import DesignPoint, cells_of, labels
 
@@ -116,7 +116,7 @@ def prepare(
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str] | None = None,
     packaging: str = "auto",
-    report: Callable[[str], None] = lambda _: None,
+    report: Report = lambda _: None,
 ) -> PreparedSweep:
     """Read an experiment, build its models, and check every combination of its lists.
 
@@ -130,7 +130,7 @@ def prepare(
     return prepare_as(experiment, sections.read(experiment.sweep)[0], packaging, report)
 
 
-def prepare_as(experiment: Experiment, spec: SweepSpec, packaging: str, report: Callable[[str], None]) -> PreparedSweep:
+def prepare_as(experiment: Experiment, spec: SweepSpec, packaging: str, report: Report) -> PreparedSweep:
     """`prepare` for a sweep in place of the experiment's own."""
     problems = [p for p in sections.incomplete(spec) if p not in experiment.problems]
     problems += _overruled(spec, experiment)
@@ -182,7 +182,7 @@ def _overruled(spec: SweepSpec, experiment: Experiment) -> list[Problem]:
     return [Problem(option, "varies in the sweep; change [sweep.vary] instead") for option in given]
 
 
-def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Callable[[str], None]) -> list[Plan]:
+def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Report) -> list[Plan]:
     """The first draw of every combination.  Raises ExperimentError with the problems of all."""
     first = replace(spec, draws=1) if spec.design != "lhs" else spec
     points = [point for point in matrix.points(first) if point.draw == spec.skip]

@@ -49,6 +49,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any free port: sweeps may run side by side
                     memory_limit=0,
                     silence_logs=logging.CRITICAL,
                     host="127.0.0.1",

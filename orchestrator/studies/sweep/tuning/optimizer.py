@@ -23,7 +23,7 @@ from ....experiment.tune import Space, TuneSpec
 from ....experiment.tune import read as read_tune
 from ....files import write_text
 from ....records.file.provenance import git_commit
-from ....runs.prepare import load_experiment
+from ....runs.prepare import Report, load_experiment
 from ....simulation.observer import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, PreparedSweep, SweepJob, prepare_as
@@ -61,7 +61,7 @@ def tune(
     results: str = "results",
     scheduler: str | None = None,
     workers: int | None = None,
-    report: Callable[[str], None] = lambda _: None,
+    report: Report = lambda _: None,
     trial_ended: TrialEnded = lambda *_: None,
     runs_ended: engine.RunsEnded = lambda *_: None,
 ) -> TuneResult:
@@ -152,7 +152,7 @@ def _search(
     folder: Path,
     pressed: Interrupt,
     trial_ended: TrialEnded,
-    report: Callable[[str], None],
+    report: Report,
 ) -> list[TunedController]:
     """Search all controllers at once, each in a sequence of trials."""
     from distributed import wait

@@ -10,12 +10,13 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ....experiment.tune import Space, TuneSpec
 from ....fmu.fmu import read
+from ....runs.prepare import Report
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep
 from ..engine.worker import COMPLETED, PointResult
@@ -48,7 +49,7 @@ class ControllerSearch:
         fmu: str,
         prepared: PreparedSweep,
         spec: TuneSpec,
-        report: Callable[[str], None],
+        report: Report,
     ):
         self._optuna, self._space, self._spec, self._fmu = optuna, spec.spaces[fmu], spec, fmu
         self._key = f"components.{spec.component}"

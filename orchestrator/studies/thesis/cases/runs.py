@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +12,10 @@ from ....experiment.reader import load
 from ....plan.plan import Plan
 from ....records.file.run import Run
 from ....records.store.folder import Store
-from ....runs.prepare import build_models
+from ....runs.prepare import Report, build_models
 from ... import processes
 from ...progress import CommandProgress
 from .chapter5 import CASES, Case
-
-Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +41,7 @@ def run_cases(cases: Sequence[Case], results: str | Path, report: Report) -> lis
     missing = {p.digest: (c, p) for c, p in zip(cases, plans, strict=True) if _completed(store, p) is None}
     counted = f"{len(missing)} of {len({plan.digest for plan in plans})} runs to do"
     report(counted if missing else f"all {len(plans)} runs are in the store")
-    commands = [processes.run_of(case.key, plan, results) for case, plan in missing.values()]
+    commands = [processes.command_of(case.key, plan, results) for case, plan in missing.values()]
     processes.run_plans(commands, CommandProgress(len(commands), report))
     return [_record(case, plan, store) for case, plan in zip(cases, plans, strict=True)]
 

@@ -6,11 +6,12 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ....errors import OrchError
+from ....runs.prepare import Report
 from ... import processes
 from ...progress import CommandProgress
 from ..cases.runs import CaseRecord
@@ -33,7 +34,7 @@ def redraw(
     numbers: Sequence[str],
     records: Sequence[CaseRecord],
     study: Sequence[Mapping[str, Any]],
-    report: Callable[[str], None],
+    report: Report,
 ) -> int:
     """Draw what is stale of some figures, and of the step study.  Returns how many that were.
 
