@@ -184,6 +184,16 @@ def steered(spiral):
     return table
 
 
+@pytest.mark.parametrize("command", ["converge", "sweep"])
+def test_what_is_steered_from_outside_is_not_run_many_times(orch, steered, write, tmp_path, command):
+    steered["metrics"] = {"last": {"of": "final", "signal": "vehicle.eta.x"}}
+    steered["sweep"] = {"vary": {"components.vehicle.parameters.m": [9.0, 11.5]}}
+    answer = orch(command, write(steered))
+    assert answer.code == 2
+    assert "components.pilot: is steered from outside" in answer.err
+    assert not (tmp_path / "results").exists()
+
+
 def datasets(path):
     values = {}
     with h5py.File(path) as file:

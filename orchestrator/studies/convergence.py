@@ -13,6 +13,7 @@ from typing import Any
 
 from ..errors import ExperimentError, Problem
 from ..metrics import unit_of
+from ..plan.plan import Plan
 from ..runs.prepare import Report, prepare
 from ..views import figures
 from ..views.tables import terminal
@@ -72,22 +73,8 @@ def study(
     """
     plan = prepare(path, set, swap, report=report)
     own = plan.experiment.master.step
-    wanted = steps or [float(f"{own * factor:.12g}") for factor in FACTORS]
-    plans, problems = {own: plan}, []
-    for step in wanted:
-        try:
-            plans[step] = prepare(path, {**(set or {}), "master.step": step}, swap)
-        except ExperimentError as error:
-            problems += [Problem(f"--steps {step:g}", str(problem)) for problem in error.problems]
+    plans = _plans(plan, path, steps, set or {}, swap)
     chosen = tuple(sorted(plans, reverse=True))
-    if not steps:
-        problems = []  # the steps that fit are taken
-    if len(chosen) < 3 and not problems:
-        problems.append(Problem("--steps", f"{len(chosen)} steps show no order of convergence; give at least 3"))
-    if not plan.experiment.metrics:
-        problems.append(Problem("metrics", "the experiment has none; convergence is judged by its metrics"))
-    if problems:
-        raise ExperimentError(plan.experiment.path, problems)
     commands = [processes.command_of(f"step {step:g} s", plans[step], results) for step in chosen]
     ended = processes.run_plans(commands, CommandProgress(len(commands), report))
     by_step = dict(zip(chosen, ended, strict=True))
@@ -103,6 +90,32 @@ def study(
         metrics=tuple(metrics),
         warnings=tuple(by_step[own]["warnings"]),
     )
+
+
+def _plans(
+    plan: Plan, path: str | Path, steps: Sequence[float], set: Mapping[str, Any], swap: Mapping[str, str] | None
+) -> dict[float, Plan]:
+    """{step: plan} of `plan` and the same at other steps, see `study`.  Raises ExperimentError."""
+    own = plan.experiment.master.step
+    plans, problems = {own: plan}, []
+    for step in steps or [float(f"{own * factor:.12g}") for factor in FACTORS]:
+        try:
+            plans[step] = prepare(path, {**set, "master.step": step}, swap)
+        except ExperimentError as error:
+            if steps:
+                problems += [Problem(f"--steps {step:g}", str(problem)) for problem in error.problems]
+    if len(plans) < 3 and not problems:
+        problems.append(Problem("--steps", f"{len(plans)} steps show no order of convergence; give at least 3"))
+    problems += [
+        Problem(f"components.{component.name}", "is steered from outside; runs at other steps would get other inputs")
+        for component in plan.components
+        if component.live
+    ]
+    if not plan.experiment.metrics:
+        problems.append(Problem("metrics", "the experiment has none; convergence is judged by its metrics"))
+    if problems:
+        raise ExperimentError(plan.experiment.path, problems)
+    return plans
 
 
 def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> MetricConvergence:
