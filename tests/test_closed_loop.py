@@ -4,6 +4,7 @@ import itertools
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -188,6 +189,26 @@ def test_jacobi_feeds_everyone_with_the_state_at_t_whatever_the_order(loop, orde
     for k in range(STEPS + 1):
         assert (xs[k], us[k], rs[k]) == (x, u, r(k))
         x, u = x + H * u, law(x, k)  # both see the tick before: the command is a step late
+
+
+@pytest.mark.parametrize(
+    ("order", "algorithm", "ended"),
+    [
+        (["law", "plant", "reference"], "gauss-seidel", True),
+        (["plant", "law", "reference"], "gauss-seidel", False),
+        (["law", "plant", "reference"], "jacobi", False),
+        (["plant", "law", "reference"], "jacobi", False),
+    ],
+)
+def test_a_rows_command_acts_over_the_step_that_docs_record_md_names(loop, order, algorithm, ended):
+    xs, us, _ = loop(order, algorithm)
+    acted = us[1:] if ended else us[:-1]
+    np.testing.assert_array_equal(xs[1:], xs[:-1] + H * acted)
+    text = " ".join((Path(__file__).parent.parent / "docs" / "record.md").read_text(encoding="utf-8").split())
+    assert (
+        "Under Gauss-Seidel the command of a component that stands before what it steers is the one that acted" in text
+    )
+    assert "Under Jacobi, and of a component that stands after what it steers, it is the one that acts over the" in text
 
 
 def test_a_law_of_a_longer_period_holds_its_command(loop):

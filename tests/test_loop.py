@@ -199,7 +199,7 @@ def test_a_record_knows_the_seconds_of_each_component(shipped, spiral, write, tm
     assert (components["vehicle"]["steps"], components["controller"]["steps"]) == (20000, 2000)
     spent = sum(seconds[phase] for seconds in components.values() for phase in ("set", "step", "get"))
     # One step in 127 is timed: one in which the process had to wait for a core counts that often.
-    assert 0.3 * timing["stepping"] < spent < 5 * timing["stepping"]
+    assert 0.3 * timing["stepping"] < spent <= timing["stepping"] * (1 + 1e-12)
     assert components["vehicle"]["step"] > components["current"]["step"]
 
 

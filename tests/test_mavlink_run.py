@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pty
+import re
 import socket
 import subprocess
 import time
@@ -123,6 +124,9 @@ def test_a_factor_paces_and_a_run_without_it_is_not_held_up(run, tmp_path):
         walls[name] = json.loads(process.communicate(timeout=60)[0])["wall_time"]
     assert walls["fast"] == pytest.approx(0.5, abs=0.08)
     assert walls["free"] < 0.4
+    text = subprocess.run([ORCH, "show", str(tmp_path / "fast.h5")], capture_output=True, text=True, check=True).stdout
+    assert float(re.search(r"waiting for the clock .*?([\d.]+)%", text)[1]) > 30
+    assert float(re.search(r"loop and recording .*?([\d.]+)%", text)[1]) < 60
 
 
 def test_paced_runs_are_never_taken_from_the_store(orch):

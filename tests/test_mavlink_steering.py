@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import socket
 import subprocess
 import threading
@@ -292,6 +293,14 @@ def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, witho
     assert run["vehicle/eta.psi"][-1] == pytest.approx(0.4, abs=0.1)
     assert np.diff([state["timestamp"] for state in pilot.states]) == pytest.approx(h)
     assert pilot.states[0]["imu"]["accel_body"][2] == pytest.approx(-9.81, abs=1.0)
+    timing = orch("show", "run.h5", "--json").json["timing"]
+    spent = [of[phase] for of in timing["components"].values() for phase in ("set", "step", "get")]
+    waited = timing["components"]["ardusub"]["waited"]
+    assert 0 < waited < timing["stepping"]
+    assert sum(spent) + waited <= timing["stepping"] * (1 + 1e-12)
+    text = orch("show", "run.h5").out
+    assert "ardusub, waiting" in text
+    assert sum(map(float, re.findall(r"([\d.]+)%", text))) == pytest.approx(100, abs=0.3)  # each is rounded
     assert orch("rerun", "run.h5", "--verify").code == 0  # without ArduPilot
 
 

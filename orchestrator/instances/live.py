@@ -6,6 +6,7 @@ there.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,6 +31,7 @@ class LiveInstance(BatchedInstance):
         self._context, self._replay = context, replay
         self._builtin: Builtin | None = None
         self.heard: list[tuple[float, Reals]] = []
+        self.seconds = self.waited = 0.0  # s of wall time in steps, and of these in `listen`
         self._error = ""
         self._inputs, self._outputs = (
             np.array([v.initial for v in fmu.variables.values() if v.causality == causality], dtype=float)
@@ -88,14 +90,18 @@ class LiveInstance(BatchedInstance):
     def _step(self, handle: int | None, t: float, h: float, _: int) -> int:
         assert self._builtin is not None
         self._take()
+        began = time.perf_counter()
         try:
             heard = self._builtin.listen(t, self._inputs) if self._replay is None else self._heard_then(t)
+            self.waited += time.perf_counter() - began
             if not self.heard or not np.array_equal(heard, self.heard[-1][1], equal_nan=True):
                 self.heard.append((t, np.array(heard, dtype=float)))
             self._outputs[:] = self._builtin.step(t, h, self._inputs, heard)
         except OrchError as error:
             self._error = str(error)
             return FATAL
+        finally:
+            self.seconds += time.perf_counter() - began
         return self._give()
 
     def _heard_then(self, t: float) -> Reals:

@@ -25,7 +25,7 @@ class Pacer(Observer):
         self._slice = max(1, round(SLICE * ticks_per_second))
         self._tail, self._steps = plan.steps - round(TAIL * ticks_per_second), plan.steps
         self._began: float | None = None
-        self._looks, self._sum = 0, 0.0
+        self._looks, self._sum, self._waited = 0, 0.0, 0.0
         self.late = self.latest = 0.0  # s; now, and at worst
 
     def rows(self, block: Block) -> None:
@@ -44,13 +44,15 @@ class Pacer(Observer):
             return
         due = self.due(tick)
         if (wait := due - time.monotonic()) > 0:
+            began = time.monotonic()
             time.sleep(wait)
+            self._waited += time.monotonic() - began
         self.late = time.monotonic() - due
         self.latest = max(self.latest, self.late)
         self._looks += 1
         self._sum += self.late
 
     def facts(self) -> dict[str, Any]:
-        """How late the run was, at worst, on average and at its end [s]."""
-        mean = self._sum / max(1, self._looks)
-        return {"pacing": {"factor": self._factor, "late_max": self.latest, "late_mean": mean, "late_end": self.late}}
+        """How late the run was, at worst, on average and at its end, and how long it waited for the clock [s]."""
+        late = {"late_max": self.latest, "late_mean": self._sum / max(1, self._looks), "late_end": self.late}
+        return {"pacing": {"factor": self._factor, **late, "waited": self._waited}}

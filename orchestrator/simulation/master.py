@@ -123,9 +123,13 @@ def _step_all(
     finally:  # also of a run that fails, or that an FMU ends
         timing.stepping = time.perf_counter() - began
         bursts.last = loop.ticks
-        outcome.timing = timing.summary(
-            [component.name for component in system.plan.components], loop.ticks - first, loop.name
-        )
+        live = {
+            stepper.component.name: (stepper.instance.seconds, stepper.instance.waited)
+            for stepper in system.steppers
+            if isinstance(stepper.instance, LiveInstance)
+        }
+        names = [component.name for component in system.plan.components]
+        outcome.timing = timing.summary(names, loop.ticks - first, loop.name, live)
         for observer in observers:
             outcome.timing |= observer.facts()
         outcome.warnings += limits.warnings()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,27 @@ class Timing:
             self.seconds[component, phase] += max(0.0, marks[phase + 1] - marks[phase] - self.overhead)
         self.samples[component] += 1
 
-    def summary(self, names: Sequence[str], ticks: int, loop: str) -> dict[str, Any]:
-        """As the record keeps it: seconds of each component, estimated for all its steps.  ticks: done."""
-        components = {}
+    def summary(
+        self, names: Sequence[str], ticks: int, loop: str, live: Mapping[str, tuple[float, float]]
+    ) -> dict[str, Any]:
+        """As the record keeps it: seconds of each component, estimated for all its steps; together at most what
+        stepping took.
+
+        ticks: done.  live: {component: seconds in its steps, and of these waited for what is outside}, of every step:
+        a timed step that waits would count 127 times.
+        """
+        components: dict[str, dict[str, float]] = {}
         for i, name in enumerate(names):
             steps = -(-ticks // self._periods[i])
             share = steps / max(1, int(self.samples[i]))
             seconds = {phase: float(self.seconds[i, k]) * share for k, phase in enumerate(PHASES)}
             components[name] = {**seconds, "steps": steps}
+        estimated = sum(of[phase] for name, of in components.items() if name not in live for phase in PHASES)
+        left = max(0.0, self.stepping - sum(seconds for seconds, _ in live.values()))
+        for name, of in components.items():
+            if name in live:
+                seconds_of, waited = live[name]
+                of.update({"set": 0.0, "step": seconds_of - waited, "get": 0.0, "waited": waited})
+            elif estimated > left:
+                of.update({phase: of[phase] * left / estimated for phase in PHASES})
         return {"loop": loop, "stepping": self.stepping, "components": components}

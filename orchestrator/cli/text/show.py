@@ -97,16 +97,19 @@ def _origin(facts: Mapping[str, Any]) -> str:
 
 
 def _timing(timing: Mapping[str, Any]) -> list[str]:
-    """Where the time went: seconds of each component, estimated from timed steps."""
-    whole = timing["stepping"]
+    """Where the time went: seconds of each component, estimated from timed steps, and what was waited for."""
+    components = {name: [seconds[phase] for phase in PHASES] for name, seconds in timing["components"].items()}
+    waits = {f"{name}, waiting": of["waited"] for name, of in timing["components"].items() if of.get("waited")}
+    if waited := timing.get("pacing", {}).get("waited"):
+        waits["waiting for the clock"] = waited
+    spent = sum(map(sum, components.values())) + sum(waits.values())
+    whole = max(timing["stepping"], spent)  # estimates of older records may add up to more
     rows = [("", "set", "step", "get", "of all")]
-    spent = 0.0
-    for name, seconds in timing["components"].items():
-        phases = [seconds[phase] for phase in PHASES]
-        spent += sum(phases)
+    for name, phases in components.items():
         rows.append((name, *(f"{value:.3g} s" for value in phases), _share(sum(phases), whole)))
-    rows.append(("loop and recording", "", "", "", _share(max(0.0, whole - spent), whole)))
-    lines = [f"  time in the loop ({timing['loop']}): {whole:.4g} s", *table(rows, 4)]
+    rows += [(name, "", f"{value:.3g} s", "", _share(value, whole)) for name, value in waits.items()]
+    rows.append(("loop and recording", "", "", "", _share(whole - spent, whole)))
+    lines = [f"  time in the loop ({timing['loop']}): {timing['stepping']:.4g} s", *table(rows, 4)]
     if pacing := timing.get("pacing"):
         mean, worst, end = (pacing[f"late_{which}"] * 1e3 for which in ("mean", "max", "end"))
         lines.append(
