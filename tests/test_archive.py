@@ -1,4 +1,4 @@
-"""FMUs made to do harm: each is refused with a sentence, at once, and nothing is written."""
+"""FMUs made to do harm: each is refused with an error message, at once, and nothing is written."""
 
 import io
 import re
@@ -18,7 +18,7 @@ XML = description_xml("trap", PROBE_VARIABLES)
 
 @pytest.fixture
 def refused(problems, tmp_path):
-    """refused(path) -> the sentence that refuses the FMU; fails where it takes long or leaves anything behind."""
+    """refused(path) -> the error message for the FMU; fails if it takes long or leaves anything behind."""
 
     def find(path):
         before = {*tmp_path.rglob("*"), tmp_path / "mine.toml"}
@@ -115,7 +115,7 @@ def test_a_description_with_a_document_type_is_not_read(refused, trap, xml):
         "zip",
     ],
 )
-def test_a_description_that_cannot_be_read_is_told_at_once(refused, trap, xml):
+def test_a_description_that_cannot_be_read_is_reported_at_once(refused, trap, xml):
     assert "modelDescription.xml cannot be read: " in refused(with_description(trap, xml))
 
 
@@ -216,7 +216,7 @@ def test_only_the_compression_of_fmi_is_opened(refused, trap, method, words):
     assert words in refused(trap)
 
 
-def test_an_encrypted_file_is_told_as_such(refused, trap):
+def test_an_encrypted_file_is_reported_as_such(refused, trap):
     content = bytearray(trap.read_bytes())
     content[content.index(b"PK\1\2") + 8] |= 1
     trap.write_bytes(content)

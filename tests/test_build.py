@@ -138,7 +138,7 @@ def test_an_fmu_whose_source_is_gone_still_runs(fresh, model, write, tmp_path):
         (CLOCK.replace('"m"', '"m s"'), "unit 'm s': 'm s' is not a symbol with an exponent"),
     ],
 )
-def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path, source, words):
+def test_a_mistake_in_a_model_is_reported_with_file_and_line(fresh, model, tmp_path, source, words):
     path = model("mine", source)
     answer = fresh("build", path)
     assert (answer.code, answer.out) == (2, "")
@@ -147,7 +147,7 @@ def test_a_mistake_in_a_model_is_told_with_file_and_line(fresh, model, tmp_path,
     assert built(tmp_path) == {}
 
 
-def test_an_equation_with_a_mistake_is_told_with_its_line(fresh, model):
+def test_an_equation_with_a_mistake_is_reported_with_its_line(fresh, model):
     answer = fresh("build", model("mine", fmu_files.model("mistaken")))
     assert answer.code == 2
     assert "line 11: AttributeError: " in answer.err
@@ -347,7 +347,7 @@ def test_an_fmu_as_json_lists_every_variable(orch, probe):
     assert [name for name, variable in variables.items() if variable["type"] == "String"] == ["text", "words"]
 
 
-def test_an_unknown_fmu_is_told_with_the_nearest_one(orch):
+def test_an_unknown_fmu_is_reported_with_the_nearest_one(orch):
     answer = orch("fmus", "mfsosm")
     assert answer.code == 2
     assert "did you mean 'mfsosmc'" in answer.err
@@ -363,7 +363,7 @@ def test_a_broken_fmu_does_not_hide_the_others(fresh, tmp_path):
 
 
 @pytest.mark.parametrize("folder", ["/dev/null", "/proc/nowhere"])
-def test_a_build_folder_that_cannot_be_written_is_told_once(orch, folder):
+def test_a_build_folder_that_cannot_be_written_is_reported_once(orch, folder):
     answer = orch("build", "pid", "mfsosmc", env={**os.environ, "ORCH_BUILD": folder})
     assert answer.code == 2
     *before, sentence = answer.err.splitlines()
@@ -371,7 +371,7 @@ def test_a_build_folder_that_cannot_be_written_is_told_once(orch, folder):
     assert re.match(f"the folder of built FMUs, {folder}/(native|python), cannot be written: [A-Z]", sentence)
 
 
-def test_a_model_that_ends_the_build_is_told_by_its_last_words(fresh, model):
+def test_a_model_that_ends_the_build_is_reported_by_its_last_words(fresh, model):
     answer = fresh("build", model("mine", "import sys\nprint('so long', file=sys.stderr)\nsys.exit('and farewell')\n"))
     assert answer.code == 2
     assert answer.err.endswith("mine.py cannot be built: the build stopped: and farewell\n")

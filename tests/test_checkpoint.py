@@ -320,7 +320,7 @@ def flip(content):
     return content[:-1] + bytes([content[-1] ^ 1])
 
 
-def test_a_checkpoint_that_is_damaged_or_of_another_format_is_a_sentence(orch, checkpoint, tmp_path):
+def test_a_checkpoint_that_is_damaged_or_of_another_format_is_an_error_message(orch, checkpoint, tmp_path):
     content = checkpoint.read_bytes()
 
     def refused(words):
@@ -363,7 +363,7 @@ def test_a_run_that_ends_before_a_checkpoint_says_that_there_is_none(orch, model
 
 @needs_compiler
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_a_state_that_crashes_its_fmu_is_a_sentence(orch, pair, buckets, write):
+def test_a_state_that_crashes_its_fmu_is_an_error_message(orch, pair, buckets, write):
     pair["components"]["fast"]["fmu"] = str(buckets["addresses"])
     done = orch("run", write(pair), "--checkpoint-at", "0.02", "--json")
     checkpoint = Path(done.json["file"]).with_suffix(".at-0.02.checkpoint")

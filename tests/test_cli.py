@@ -48,7 +48,7 @@ def test_a_mistake_in_the_call_shows_the_usage(orch, arguments):
     assert answer.err.startswith("Usage: orch")
 
 
-def test_help_is_there_at_once():
+def test_help_comes_at_once():
     """Numbers, files and FMUs are imported by the commands that need them, for they take half a second."""
     script = """
 import sys

@@ -134,7 +134,7 @@ def test_a_glob_that_fits_no_metric_names_the_nearest(compare):
     assert "no metric of these runs fits 'farx'; did you mean 'far_x'?" in answer.err
 
 
-def test_runs_are_told_apart_by_parameters_models_and_experiments(compare, store, tmp_path):
+def test_runs_are_distinguished_by_parameters_models_and_experiments(compare, store, tmp_path):
     labels = [e["label"] for e in compare("near", "far", "--json").json["runs"]]
     assert labels == ["one.heading = 0.2, one.place = (1, 3, -5)", "one.heading = 0.1, one.place = (2, 3, -6)"]
     clock = merged(single("clock"), {"metrics": {"late": {"of": "max_abs", "signal": "one.y"}}})

@@ -25,7 +25,7 @@ XML3 = """<fmiModelDescription fmiVersion="3.0" modelName="trap" instantiationTo
 
 @pytest.fixture
 def fault(problems, tmp_path):
-    """fault(xml) -> the sentence that refuses an FMU so described."""
+    """fault(xml) -> the error message for an FMU with this description."""
 
     def find(xml):
         ((key, sentence),) = problems(single(with_description(paper_fmu(tmp_path / "trap.fmu"), xml)))
@@ -68,7 +68,7 @@ def fault(problems, tmp_path):
         ("<ModelVariables>", "<ModelVariables/><ModelVariables>", "needs one"),
     ],
 )
-def test_what_fmi_2_does_not_allow_is_told(fault, old, new, words):
+def test_what_fmi_2_does_not_allow_is_reported(fault, old, new, words):
     assert old in XML
     sentence = fault(XML.replace(old, new, 1))
     assert "modelDescription.xml cannot be read: " in sentence
@@ -82,7 +82,7 @@ def test_a_variable_without_a_type_does_not_take_that_of_the_one_before(fault):
     assert "has 0 types" in sentence
 
 
-def test_many_faults_are_told_at_once_and_not_all(fault):
+def test_many_faults_are_reported_at_once_and_not_all(fault):
     sentence = fault(XML.replace('causality="', 'causality="x'))
     assert sentence.count("no causality") == 8
     assert sentence.endswith(f"; and {len(PROBE_VARIABLES) - 8} more")
@@ -109,7 +109,7 @@ def test_many_faults_are_told_at_once_and_not_all(fault):
         ),
     ],
 )
-def test_what_fmi_3_does_not_allow_is_told(fault, old, new, words):
+def test_what_fmi_3_does_not_allow_is_reported(fault, old, new, words):
     assert old in XML3
     assert words in fault(XML3.replace(old, new, 1))
 

@@ -401,12 +401,12 @@ def test_an_fmu_does_not_know_where_it_was_built(own_folder, monkeypatch):
 
 
 def test_a_model_is_built_again_when_its_sources_have_changed_and_only_then(own_folder):
-    source, told = write_helped(own_folder, "stale_or_not", 1.0), []
+    source, messages = write_helped(own_folder, "stale_or_not", 1.0), []
 
     def built():
-        told.clear()
-        content = build.build([source], told.append)["stale_or_not"].read_bytes()
-        return content, told.copy()
+        messages.clear()
+        content = build.build([source], messages.append)["stale_or_not"].read_bytes()
+        return content, messages.copy()
 
     first, names = built()
     assert names == ["building stale_or_not"]
@@ -433,16 +433,16 @@ def test_a_change_in_the_shared_physics_makes_every_shipped_model_stale(own_fold
     for cached in (catalogue.shipped, stamps.tools):
         cached.cache_clear()
         request.addfinalizer(cached.cache_clear)
-    told = []
-    build.build(FMUS, told.append, packaging="python")
+    messages = []
+    build.build(FMUS, messages.append, packaging="python")
     physics = folder / "fmus" / "uuv" / "dynamics.py"
     physics.write_text(physics.read_text() + "\n# a word more\n")
-    told.clear()
-    build.build(FMUS, told.append, packaging="python")
-    assert sorted(told) == [f"building {name}" for name in FMUS]
-    told.clear()
-    build.build(FMUS, told.append, packaging="python")
-    assert told == []
+    messages.clear()
+    build.build(FMUS, messages.append, packaging="python")
+    assert sorted(messages) == [f"building {name}" for name in FMUS]
+    messages.clear()
+    build.build(FMUS, messages.append, packaging="python")
+    assert messages == []
 
 
 # The contract

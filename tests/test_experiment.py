@@ -44,7 +44,7 @@ FAULTY_KEYS = {
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
-def test_all_faults_of_a_file_are_told_at_once_and_nothing_is_written(orch, write, spiral, tmp_path, command):
+def test_all_faults_of_a_file_are_reported_at_once_and_nothing_is_written(orch, write, spiral, tmp_path, command):
     path = write(merged(spiral, FAULTS))
     answer = orch(command, path)
     assert (answer.code, answer.out) == (2, "")

@@ -316,7 +316,7 @@ def test_the_name_of_the_file_says_the_format(orch, mixed, tmp_path):
 
 
 @pytest.mark.parametrize("form", LIBRARIES)
-def test_a_missing_library_is_a_sentence_that_says_what_to_install(orch, mixed, form, tmp_path):
+def test_a_missing_library_is_an_error_message_that_says_what_to_install(orch, mixed, form, tmp_path):
     (tmp_path / "without" / LIBRARIES[form]).mkdir(parents=True)
     (tmp_path / "without" / LIBRARIES[form] / "__init__.py").write_text("raise ImportError('not here')")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "without")}

@@ -57,7 +57,7 @@ ROWS = [0.0, 0.01, 0.02]  # the trouble comes in the step that begins at 0.02
         (5, "do_step made it (2,)"),
     ],
 )
-def test_a_python_model_that_fails_is_told_in_its_own_words(run, models, kind, words):
+def test_a_python_model_that_fails_is_reported_in_its_own_words(run, models, kind, words):
     answer, record = run(single("trouble", kind=kind))
     check_failed(answer, record, "one", 0.02, words, ROWS)
     assert record["one.y"].tolist() == ROWS
@@ -74,7 +74,7 @@ def test_a_python_model_that_fails_is_told_in_its_own_words(run, models, kind, w
         (11, "fmi2Error; the FMU logged no message"),
     ],
 )
-def test_a_c_fmu_that_fails_is_told_in_its_own_words(run, probe, mode, words):
+def test_a_c_fmu_that_fails_is_reported_in_its_own_words(run, probe, mode, words):
     answer, record = run(single(probe, mode=mode))
     check_failed(answer, record, "one", 0.02, words, ROWS)
     assert record["one.y"].tolist() == ROWS
@@ -143,7 +143,7 @@ def test_one_failure_among_several_components_takes_nothing_else_down(run, model
     assert "illegal call" not in answer.err
 
 
-def test_a_failing_fmu_of_another_tool_is_told_in_its_own_words(run, foreign):
+def test_a_failing_fmu_of_another_tool_is_reported_in_its_own_words(run, foreign):
     answer, record = run(single(foreign.east))
     check_failed(answer, record, "one", 0.02, "an east wind", ROWS)
 
@@ -376,7 +376,7 @@ def limited(size):
 
 
 @pytest.mark.slow
-def test_a_disk_that_fills_up_ends_the_run_with_a_sentence_and_keeps_its_rows(run, models):
+def test_a_disk_that_fills_up_ends_the_run_with_a_message_and_keeps_its_rows(run, models):
     table = merged(single("waves", stop_time=1000.0, step=1e-3), {"record": {"signals": ["*", "!*.eta"]}})
     answer, record = run(table, preexec_fn=limited(24 << 20))
     assert answer.code == 3
@@ -465,7 +465,7 @@ print(orch.run("mine.toml").status)
     assert (answer.code, answer.out, answer.err) == (0, "failed\ncompleted\n", "")
 
 
-def test_a_full_file_system_ends_the_run_with_a_sentence(write, models, tmp_path):
+def test_a_full_file_system_ends_the_run_with_a_message(write, models, tmp_path):
     """A real one, of 1 MB, in a mount namespace of its own."""
     if shutil.which("unshare") is None:
         pytest.skip("no unshare")

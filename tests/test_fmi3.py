@@ -180,11 +180,11 @@ def test_arrays_connect_whole_and_one_by_one_with_gain(run, sponge, algorithm, l
 
 
 @pytest.mark.parametrize(("inner", "notes"), [("0.0025", []), ("1e-2", []), ("0.004", ["late"]), ("0.02", ["late"])])
-def test_a_step_that_is_no_multiple_of_the_one_inside_is_told(orch, write, sponge, tmp_path, inner, notes):
+def test_a_step_that_is_no_multiple_of_the_one_inside_is_reported(orch, write, sponge, tmp_path, inner, notes):
     path = tmp_path / "sponge.fmu"
     shutil.copy(sponge, path)
     with_description(path, description(f'fixedInternalStepSize="{inner}"'))
-    told = (
+    expected = (
         [
             f"one: steps every 0.01 s, no multiple of the {float(inner):g} s in which its FMU steps inside "
             "(fixedInternalStepSize): what it gives may be late"
@@ -192,8 +192,8 @@ def test_a_step_that_is_no_multiple_of_the_one_inside_is_told(orch, write, spong
         if notes
         else []
     )
-    assert orch("check", write(alone(path)), "--json").json["notes"] == told
-    assert orch("run", write(alone(path)), "--json").json["warnings"] == told
+    assert orch("check", write(alone(path)), "--json").json["notes"] == expected
+    assert orch("run", write(alone(path)), "--json").json["warnings"] == expected
 
 
 def test_a_number_too_wide_for_an_input_is_refused(orch, write, sponge):
@@ -231,7 +231,7 @@ def test_an_fmu_that_insists_on_event_mode_is_stepped_from_event_to_event(run, s
         (4, "output Float32_out is not finite: nan"),
     ],
 )
-def test_an_fmu_that_fails_is_told_in_its_own_words(run, sponge, mode, words, loop, monkeypatch):
+def test_an_fmu_that_fails_is_reported_in_its_own_words(run, sponge, mode, words, loop, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
     record = run(alone(sponge, mode=mode), code=3)
     assert record.attributes["error"].startswith("'one' failed at t = 0.02 s: ")

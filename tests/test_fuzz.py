@@ -1,4 +1,4 @@
-"""Files spoiled at random are refused with a sentence, or run.  ORCH_FUZZ=10 tries 10 000 and 2 000 (`make fuzz`).
+"""Files spoiled at random are refused with an error message, or run; ORCH_FUZZ=10 tries 10 000 and 2 000 of them.
 
 A mutant that breaks a rule is tried again, alone, by `python tests/peers/mutants.py experiments --only NUMBER`; what
 it shows gets a test of its own below.
@@ -37,14 +37,14 @@ def mutants(tmp_path, *arguments):
     return done.stdout
 
 
-def test_spoiled_experiments_are_refused_with_a_sentence_or_run(shipped, tmp_path):
+def test_spoiled_experiments_are_refused_with_a_message_or_run(shipped, tmp_path):
     said = mutants(tmp_path, "experiments", "--count", EXPERIMENTS)
     assert f"0 of {EXPERIMENTS} mutants" in said
     assert "check 0" in said
     assert "run 0" in said
 
 
-def test_spoiled_fmus_are_refused_with_a_sentence_or_read(shipped, tmp_path):
+def test_spoiled_fmus_are_refused_with_a_message_or_read(shipped, tmp_path):
     (tmp_path / "given").mkdir()
     paper_fmu(tmp_path / "given" / "paper.fmu", PROBE_VARIABLES)
     said = mutants(tmp_path, "archives", "--count", ARCHIVES, "--given", tmp_path / "given")
@@ -70,7 +70,7 @@ DEEP = "a." * 500
         (f"[master]\nstep = 1{'0' * 400}", "master.step: is a whole number that does not fit 64 bits"),
     ],
 )
-def test_what_no_experiment_can_hold_is_told(orch, tmp_path, text, words):
+def test_what_no_experiment_can_hold_is_reported(orch, tmp_path, text, words):
     (tmp_path / "mine.toml").write_text(text)
     for command in ("check", "run"):
         answer = orch(command, "mine.toml")
@@ -78,7 +78,7 @@ def test_what_no_experiment_can_hold_is_told(orch, tmp_path, text, words):
 
 
 @pytest.mark.parametrize("value", ["[" * 5000, "9" * 5000, "1" + "0" * 400, "[" * 300 + "]" * 300])
-def test_what_no_option_can_hold_is_told(orch, write, spiral, value):
+def test_what_no_option_can_hold_is_reported(orch, write, spiral, value):
     answer = orch("check", write(spiral), "--set", f"components.vehicle.parameters.m={value}")
     assert answer.code == 2
     assert "1 problem\n" in answer.err

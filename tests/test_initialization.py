@@ -64,7 +64,7 @@ def test_a_component_that_feeds_itself_is_solved(first):
     assert first(table)[:3] == pytest.approx([1.0, 1.0, 1.0], rel=1e-9)
 
 
-def test_a_loop_without_a_solution_is_told_variable_by_variable(orch, write, curve):
+def test_a_loop_without_a_solution_is_reported_variable_by_variable(orch, write, curve):
     answer = orch("run", write(ring({"bias": 1.0}, {})))
     assert answer.code == 3
     assert "an algebraic loop through a.u <- b.y <- b.u <- a.y <- a.u; " in answer.err

@@ -1,4 +1,4 @@
-"""Components in processes of their own: the same numbers, and whatever happens there is a sentence and costs no row.
+"""Components in processes of their own: the same numbers; whatever fails there is an error message and costs no row.
 
 ORCH_FUZZ=10 has each fault 50 times (`make fuzz`).
 """
@@ -92,7 +92,7 @@ def test_a_process_of_its_own_changes_no_bit(orch, write, probe, changes, loop, 
 
 @pytest.mark.parametrize("loop", ["", "python"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_there_is_told_and_keeps_every_row(orch, write, probe, left, tmp_path, fault, loop, monkeypatch):
+def test_a_fault_there_is_reported_and_keeps_every_row(orch, write, probe, left, tmp_path, fault, loop, monkeypatch):
     monkeypatch.setenv("ORCH_LOOP", loop)
     mode, words = FAULTS[fault]
     steps = random.Random(fault + loop).choices(range(1, 19), k=(2 if loop else 3) * FUZZ)
@@ -111,7 +111,7 @@ def test_a_fault_there_is_told_and_keeps_every_row(orch, write, probe, left, tmp
 
 
 @pytest.mark.parametrize(("mode", "code", "words"), [(7, 3, "the probe will not wake"), (8, 3, "not finite")])
-def test_a_fault_in_initialization_is_told(orch, write, probe, left, mode, code, words):
+def test_a_fault_in_initialization_is_reported(orch, write, probe, left, mode, code, words):
     answer = orch("run", write(two(probe, **{"components.two.parameters": {"mode": mode}})))
     assert answer.code == code
     assert words in answer.err
@@ -162,7 +162,7 @@ def test_a_run_cleans_up_what_a_killed_one_left(orch, write, probe, left, tmp_pa
     assert left() == []
 
 
-def test_the_last_inputs_of_what_failed_are_told(orch, write, probe):
+def test_the_last_inputs_of_what_failed_are_reported(orch, write, probe):
     answer = orch("run", write(two(probe, **{"components.two.parameters": {"mode": 12, "at": 0.05}})))
     assert answer.err.splitlines()[-1] == "  its last inputs: u = 0.06, count = 18, flag = 0"
 

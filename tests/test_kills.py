@@ -58,7 +58,7 @@ def test_after_a_kill_at_any_moment_the_rows_are_those_of_the_true_run(shipped, 
 
 
 @pytest.mark.skipif(COMPILER is None or sys.platform != "linux", reason="needs a C compiler and LD_PRELOAD")
-def test_after_a_kill_between_any_two_writes_every_flushed_row_is_there(python, write, spiral, tmp_path):
+def test_after_a_kill_between_any_two_writes_every_flushed_row_is_readable(python, write, spiral, tmp_path):
     """All that a run does to its file, write by write: each state is none yet, or has all rows that were there."""
     library, states = tmp_path / "snapshots.so", tmp_path / "states"
     source = Path(__file__).parent / "peers" / "snapshots.c"

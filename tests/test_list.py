@@ -174,7 +174,7 @@ def test_filters_and_columns_and_order(orch, store):
         (("--columns", "metrics.fat"), "did you mean 'metrics.far'"),
     ],
 )
-def test_a_filter_that_means_nothing_is_told(orch, store, arguments, words):
+def test_a_filter_that_means_nothing_is_reported(orch, store, arguments, words):
     answer = orch("list", *arguments)
     assert (answer.code, words in answer.err) == (2, True), answer.err
 
@@ -225,7 +225,7 @@ def test_a_store_that_cannot_be_written_is_listed(orch, store):
         store.chmod(0o755)
 
 
-def test_running_and_killed_runs_are_told_apart(orch, store, write, models, tmp_path):
+def test_running_and_killed_runs_are_distinguished(orch, store, write, models, tmp_path):
     with subprocess.Popen([ORCH, "run", write(single("moody", pause=3.0), "slow.toml"), "-q"], cwd=tmp_path) as process:
         poll(lambda: any(path.stat().st_size for path in store.glob("slow/*.h5")), process)
         time.sleep(0.3)
@@ -283,7 +283,7 @@ def test_diff_of_another_controller_names_it(orch, write, spiral, tmp_path):
 # --- Clearing away ----------------------------------------------------------------------------------------------------
 
 
-def test_prune_says_what_would_go_and_deletes_when_told(orch, store):
+def test_prune_says_what_would_go_and_deletes_when_asked(orch, store):
     dry = orch("prune", "--status", "failed")
     assert (dry.code, "1 record, " in dry.err, "would be deleted" in dry.err) == (0, True, True)
     assert len(listed(orch)) == 4

@@ -33,7 +33,7 @@ def test_check_runs_no_code_of_an_fmu_unless_it_is_asked_to(orch, write, trap, t
 
 
 @needs_compiler
-def test_what_kills_a_process_is_a_sentence_for_each_component(orch, write, trap, tmp_path):
+def test_what_kills_a_process_is_an_error_message_for_each_component(orch, write, trap, tmp_path):
     names = ("falls", "aborts", "leaves", "sleeps", "stillborn", "lives")
     began = time.monotonic()
     answer = orch("check", write(many(trap, *names)), "--load", "--timeout", "3", "--json")

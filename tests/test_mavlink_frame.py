@@ -68,7 +68,7 @@ def test_any_order_and_sense_of_thrusters_is_recognized():
         (SHIPPED[:, [0, 0, 2, 3, 4, 5]], "thruster 2"),
     ],
 )
-def test_a_matrix_that_is_no_vectored_frame_is_refused_with_a_sentence(matrix, words):
+def test_a_matrix_that_is_no_vectored_frame_is_refused_with_a_message(matrix, words):
     with pytest.raises(OrchError, match=words):
         ThrusterFrame(matrix)
 

@@ -180,8 +180,8 @@ def test_without_a_compiler_runs_use_python_fmus_and_say_so_when_they_build(fres
     path = experiment(write)
     first = fresh("run", path, CC="/nonexistent/cc")
     assert first.code == 0, first.err
-    told, building = first.err.splitlines()
-    assert told.startswith("no C compiler was found (CC is '/nonexistent/cc'), " + NO_COMPILER)
+    reason, building = first.err.splitlines()
+    assert reason.startswith("no C compiler was found (CC is '/nonexistent/cc'), " + NO_COMPILER)
     assert building == f"building {MODEL}"
     assert [file.parent.name for file in (tmp_path / "build").rglob("*.fmu")] == ["python"]
     second = fresh("run", path, "--force", CC="/nonexistent/cc")
@@ -212,8 +212,8 @@ def test_native_fmus_are_demanded_without_a_compiler(fresh, write):
         answer = fresh(*arguments, CC="/nonexistent/cc")
         assert answer.code == 2
         assert "no C compiler was found (CC is '/nonexistent/cc'); for native FMUs install gcc or clang" in answer.err
-    told = fresh("run", EXPERIMENTS / "spiral_pid.toml", "--packaging", "native", CC="/nonexistent/cc").err
-    assert told.count("no C compiler was found") == 1  # not once a component
+    err = fresh("run", EXPERIMENTS / "spiral_pid.toml", "--packaging", "native", CC="/nonexistent/cc").err
+    assert err.count("no C compiler was found") == 1  # not once a component
 
 
 @needs_compiler

@@ -186,13 +186,13 @@ def test_an_unknown_format_names_the_three(orch, spiral_run, tmp_path):
         draw([spiral_run], tmp_path / "without")
 
 
-def test_a_folder_that_cannot_be_made_is_a_sentence(spiral_run, tmp_path):
+def test_a_folder_that_cannot_be_made_is_an_error_message(spiral_run, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match=r"f\.png cannot be written"):
         draw([spiral_run], tmp_path / "file" / "f.png", ["vehicle.eta"])
 
 
-def test_a_record_without_rows_is_a_sentence(changed, spiral_run, tmp_path):
+def test_a_record_without_rows_is_an_error_message(changed, spiral_run, tmp_path):
     with pytest.raises(StoreError, match="holds no rows yet"):
         draw([changed(spiral_run, lambda file: file["time"].resize((0,)))], tmp_path / "f.png")
 

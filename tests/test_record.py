@@ -352,7 +352,7 @@ def check_rows(file, n):
     assert len(np.unique(file["vehicle"]["eta.x"][:n])) == n  # it moves all the time: no row is a gap
 
 
-def test_after_a_kill_every_flushed_row_is_there(endless):
+def test_after_a_kill_every_flushed_row_is_readable(endless):
     for i, (process, path) in enumerate(endless("one", "two", "three")):
         seen = length(path)
         if i:
@@ -507,7 +507,7 @@ def test_thousands_of_signals_are_recorded(recorded, tmp_path):
         assert file["one"]["z[5000]"].dimensions == ("time",)
 
 
-def test_a_damaged_record_is_an_error_with_a_sentence_and_is_run_again(orch, write, probe, tmp_path):
+def test_a_damaged_record_is_an_error_with_a_message_and_is_run_again(orch, write, probe, tmp_path):
     """A kill in the middle of the first write leaves such a file."""
     path = write(single(probe))
     record = tmp_path / orch("run", path, "--json").json["file"]

@@ -182,7 +182,7 @@ def test_play_advances_time_until_pause(opened, written, gripping_run):
 
 @needs_chromium
 @pytest.mark.slow
-def test_playing_ends_with_the_run_and_begins_anew(opened, written, spiral_run):
+def test_playing_ends_with_the_run_and_starts_again(opened, written, spiral_run):
     page = opened(written(spiral_run))
     page.get_by_label("speed").select_option("8")
     page.get_by_role("button", name="Play").click()
@@ -455,7 +455,7 @@ def test_metrics_of_several_runs_stand_beside_each_other(written, spiral_run, ot
     assert "controller.K_p.z = 60" in seen
 
 
-def test_the_command_writes_beside_the_record_or_where_it_is_told(orch, spiral_run, tmp_path):
+def test_the_command_writes_beside_the_record_or_where_it_should(orch, spiral_run, tmp_path):
     shutil.copy(spiral_run.path, tmp_path / "mine.h5")
     answer = orch("report", "mine.h5")
     assert (answer.code, answer.out, answer.err) == (0, "mine.html\n", "")
@@ -463,14 +463,14 @@ def test_the_command_writes_beside_the_record_or_where_it_is_told(orch, spiral_r
     assert (tmp_path / "new" / "both.html").stat().st_size > 1_000_000
 
 
-def test_a_file_that_cannot_be_written_is_a_sentence(orch, spiral_run, tmp_path):
+def test_a_file_that_cannot_be_written_is_an_error_message(orch, spiral_run, tmp_path):
     (tmp_path / "file").write_text("")
     answer = orch("report", spiral_run.path, "-o", "file/f.html")
     assert answer.code == 2
     assert "f.html cannot be written" in answer.err
 
 
-def test_without_plotly_a_sentence_says_what_to_install(spiral_run, monkeypatch):
+def test_without_plotly_a_message_says_what_to_install(spiral_run, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     with pytest.raises(OrchError, match=r'pip install "orch\[report\]"') as caught:
         report.page([spiral_run])

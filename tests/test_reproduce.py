@@ -54,7 +54,7 @@ def off_by(factor, case, quantity):
 # --- the published numbers
 
 
-def test_every_cell_of_the_six_tables_is_there_once():
+def test_every_cell_of_the_six_tables_occurs_once():
     assert len(CELLS) == 144
     assert len({(c.table, c.case, c.quantity) for c in published()}) == 180
     per_table = Counter(c.table for c in CELLS)

@@ -81,7 +81,7 @@ def test_a_run_that_ends_otherwise_differs_and_one_with_fewer_rows(orch, write, 
     assert "rows: " in answer.out
 
 
-def test_an_fmu_that_is_another_one_now_is_told(orch, write, tmp_path):
+def test_an_fmu_that_has_changed_is_reported(orch, write, tmp_path):
     source = fmu_files.model("slope")
     model = tmp_path / "own_clock.py"
     model.write_text(source, encoding="utf-8")

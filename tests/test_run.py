@@ -116,7 +116,7 @@ def test_the_first_row_agrees_with_itself_through_any_chain(orch, write, models,
         assert [found[f"r{i}.y"][0] for i in range(5)] == [3.5] * 5
 
 
-def test_an_algebraic_loop_is_told_with_its_signals(orch, write, models):
+def test_an_algebraic_loop_is_reported_with_its_signals(orch, write, models):
     table = {
         "master": {"stop_time": 0.01, "step": 0.01},
         "components": {"a": {"fmu": "plus"}, "b": {"fmu": "relay"}},
@@ -203,7 +203,7 @@ def test_quiet_prints_nothing(orch, write, spiral):
     assert (answer.code, answer.out, answer.err) == (0, "", "")
 
 
-def test_a_completed_run_is_not_repeated_but_its_metrics_are_computed_anew(orch, write, spiral, tmp_path):
+def test_a_completed_run_is_not_repeated_but_its_metrics_are_computed_again(orch, write, spiral, tmp_path):
     first = orch("run", write(spiral), "--json")
     path = tmp_path / first.json["file"]
     content = path.read_bytes()
@@ -266,7 +266,7 @@ def test_an_earlier_record_is_replaced_only_when_the_new_one_is_completed(orch, 
     assert orch("run", path, "--json", env=bad).json["status"] == "completed"  # it is there
 
 
-def test_a_second_process_that_runs_the_same_is_refused_and_told_of_the_first(orch, write, models, tmp_path):
+def test_a_second_process_that_runs_the_same_is_refused_and_names_the_first(orch, write, models, tmp_path):
     path = write(single("moody", pause=0.5))
     with subprocess.Popen([ORCH, "run", str(path), "--json"], cwd=tmp_path, stdout=subprocess.PIPE) as first:
         poll(lambda: any(p.stat().st_size for p in tmp_path.glob("results/mine/*.h5")), first)

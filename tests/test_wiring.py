@@ -147,7 +147,7 @@ def test_a_zip_that_unpacks_to_an_absurd_size_is_not_opened(problems, two, tmp_p
     assert "absurd size at 'resources/bomb'" in sentence
 
 
-def test_a_damaged_fmu_is_told_as_such(orch, write, spiral, tmp_path, shipped):
+def test_a_damaged_fmu_is_reported_as_such(orch, write, spiral, tmp_path, shipped):
     """A byte in the middle of the library is wrong: the archive's directory looks right."""
     content = bytearray(shipped["pid"].read_bytes())
     with zipfile.ZipFile(shipped["pid"]) as archive:
@@ -319,7 +319,7 @@ def test_two_drivers_of_one_axis_are_refused(problems, two):
     assert sentence == "p.y has two drivers: a.q and a.y; keep one"
 
 
-def test_an_unconnected_input_is_told_by_axis(problems, two):
+def test_an_unconnected_input_is_reported_by_axis(problems, two):
     """One axis has its connection, one a start value, one nothing."""
     table = two(
         a=vector("q", "xyz"),
@@ -332,7 +332,7 @@ def test_an_unconnected_input_is_told_by_axis(problems, two):
     assert "nothing drives its input 'p' (z)" in sentence
 
 
-def test_an_input_whose_connection_is_wrong_is_not_told_twice(problems, two):
+def test_an_input_whose_connection_is_wrong_is_not_reported_twice(problems, two):
     found = problems(two(**{"connections.b.u": "a.z", "components.b.start": {}}))
     assert [key for key, _ in found] == ['connections."b.u"']
 
@@ -420,8 +420,8 @@ def test_check_notes_values_beyond_what_an_fmu_declares(orch, write, two):
         ("m", "Real", "parameter", "1", None, "at least nothing", "0"),
         ("n", "Integer", "parameter", "1", None, "a few", "1", "3"),
     ]
-    told = {"n": 4, "m": -0.5}
-    path = write(two(a=limited, **{"components.a.parameters": told}))
+    beyond = {"n": 4, "m": -0.5}
+    path = write(two(a=limited, **{"components.a.parameters": beyond}))
     sentences = [
         "a: m = -0.5 is below 0, the min that its FMU declares",
         "a: n = 4 is above 3, the max that its FMU declares",
@@ -441,7 +441,7 @@ def test_a_matrix_parameter_takes_a_list_of_rows(resolve, problems, two):
     assert sentence == "is a matrix up to [2,3]; give a list of rows"
 
 
-def test_the_seed_of_the_experiment_reaches_what_has_one_and_is_told_none(resolve, two):
+def test_the_seed_of_the_experiment_reaches_what_has_one_and_is_given_none(resolve, two):
     """Derived from the seed and the component's name: two components differ, a set value stays."""
     seeded = [*PROBE_VARIABLES, ("seed", "Integer", "parameter", "1", None, "seed")]
     table = two(

@@ -4,9 +4,9 @@
     python tests/peers/mutants.py archives --count 100 --seed 1
     python tests/peers/mutants.py experiments --only 1234 --seed 1        one again, with all that orch says
 
-Works in the current folder.  A mutant must be refused with a sentence (exit code 2), or be valid (0; of a run also 3):
-no traceback, no crash, no command over 10 s, no file written but in results/ and where temporary files go.  Prints what
-breaks this; exit code 1 where anything does.
+Works in the current folder.  A mutant must be refused with an error message (exit code 2) or be valid (0; of a run also
+3): no traceback, no crash, no command over 10 s, no file written but in results/ and where temporary files go.  Prints
+what breaks this; exit code 1 if anything does.
 """
 
 import argparse
@@ -551,7 +551,7 @@ def attempt(command):
 
 
 def judge(number, trying, seed, loud):
-    """What is wrong with the answers to one mutant, as sentences."""
+    """What is wrong with the answers to one mutant, as messages."""
     found = []
     for command, codes in trying(number, seed):
         strays.clear()
