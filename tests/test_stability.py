@@ -1,6 +1,7 @@
 """A feedback loop that is unstable because of its step is reported; noise is not, whatever reads it."""
 
 import json
+import re
 import signal
 
 import h5py
@@ -69,7 +70,7 @@ def warnings(recorded):
 def test_a_loop_beyond_its_limit_is_reported_with_signal_share_step_and_what_to_do(loop, warnings):
     (warning,) = warnings(loop(gain=1.5))
     assert warning.startswith("law.u (a) oscillates with a period of about 2 steps of 0.001 s, 100% of its mean square")
-    assert "at half the step the rms of law.u.a is about 100% less" in warning
+    assert re.search(r"at half the step the rms of law\.u\.a is 9\d% less", warning)
     assert "the numbers of the run are wrong even where they look right; take a smaller step" in warning
     assert warning.kind == "unstable"
 
@@ -83,7 +84,7 @@ def test_a_sensor_that_alternates_and_is_not_read_is_not_reported(loop, warnings
 
 
 def test_a_sensor_that_alternates_and_is_read_does_not_make_numbers_wrong(loop, recorded):
-    record = recorded(loop(gain=0.5, noise=0.1, reads="lag.y_m", T=0.02))
+    record = recorded(loop(gain=0.5, noise=0.1, reads="lag.y_m", T=0.02, stop=3.0))
     assert [warning.kind for warning in record.warnings] == ["switching"]
     assert not record.is_wrong
 

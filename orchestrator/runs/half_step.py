@@ -111,7 +111,7 @@ class Shorter(Observer):
         return min([last, *(end for end in self._ends if end > tick)])
 
     def progress(self, tick: int) -> None:
-        if tick == self._ends[0]:
+        if tick == self._ends[0] < self._ends[1]:
             verdicts = {loop: stability.judge_first(fast, self.coarse, self.fine) for loop, fast in self._loops.items()}
             if Verdict.OPEN not in verdicts.values():
                 self.verdicts = verdicts
@@ -168,7 +168,7 @@ def _by_their_periods(
 
 def _unstable(plan: Plan, shorter: Shorter, fast: Sequence[Suspect], sampled: bool) -> Warned:
     bursts, step = shorter.coarse, plan.experiment.master.step
-    output, change = max(shorter.changes(fast).items(), key=lambda item: abs(item[1]))
+    output, change = _headline(bursts, fast, shorter.changes(fast))
     by = f"{'' if shorter.whole else 'about '}{abs(change):.0%} {'less' if change < 0 else 'more'}"
     head = (
         f"{_oscillation(plan, bursts, fast, output)}; at {PARTS[shorter.factor]} the rms of "
@@ -188,6 +188,15 @@ def _unstable(plan: Plan, shorter: Shorter, fast: Sequence[Suspect], sampled: bo
         f"where {name} is not meant to be sampled so slowly, shorten components.{name}.step"
     )
     return Warned(text, Kind.SAMPLING)
+
+
+def _headline(bursts: Bursts, fast: Sequence[Suspect], changes: Mapping[int, float]) -> tuple[int, float]:
+    """The output to name, and its change: of those that change most, one that moves fast, rather a command."""
+    shares = {suspect.output: suspect.share for suspect in fast}
+    most = max(map(abs, changes.values()))
+    candidates = [output for output, change in changes.items() if abs(change) >= 0.8 * most]
+    output = max(candidates, key=lambda o: (o in shares, bursts.outputs[o].command, shares.get(o, 0.0)))
+    return output, changes[output]
 
 
 def _switching(plan: Plan, bursts: Bursts, fast: Sequence[Suspect]) -> Warned:

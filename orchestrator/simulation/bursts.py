@@ -19,7 +19,7 @@ from ..plan.feedthrough import components as strongly_connected
 from ..plan.plan import Plan
 from .system import System
 
-LENGTH = 128  # steps of a burst: four periods of the slowest oscillation that is looked for, see stability.LONGEST
+LENGTH = 256  # steps of a burst: four periods of the slowest oscillation that is looked for, see stability.LONGEST
 FEWEST = 32  # bursts of a long run, about
 MEMORY = 1 << 24  # bytes that all bursts may take
 

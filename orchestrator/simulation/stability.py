@@ -26,9 +26,10 @@ from ..names import split_axis
 from .bursts import Bursts, Clock
 
 CHANGE = 0.2  # of the rms of a command: more is wrong
-CHANGE_OF_STATE = 0.35  # of any other output; what a state does under noise that is new in each step falls by 0.29
+CHANGE_OF_STATE = 0.35  # of any other output: what noise that is new in each step does to a state falls by 0.29
+CHANGE_OF_NOISE = 0.45  # upwards, without a rhythm: noise that is given by its density rises by 0.41
 SHARE = 0.25  # where all that is fast is gone at half the step, a CHANGE takes 0.36
-LONGEST = 32  # steps a period
+LONGEST = 64  # steps a period; between its limits a command may take that long
 NONE, CERTAIN = 0.08, 0.35  # changes that the first bursts estimate: up to NONE is none, above CERTAIN is one
 FEWEST_BURSTS = 8  # to estimate from
 FEWEST_STEPS = 16  # of a component, below which nothing is judged
@@ -103,9 +104,10 @@ def suspects(bursts: Bursts) -> list[Suspect]:
 
 
 def first_end(bursts: Bursts, found: Iterable[Suspect]) -> int:
-    """The tick up to which a run is compared first."""
+    """The tick up to which a run is compared first: the last one where that would be most of it."""
     clocks = [(bursts.clocks[suspect.clock], suspect.enough) for suspect in found]
-    return max(int(clock.ticks[min(enough * clock.length, clock.done[0]) - 1]) for clock, enough in clocks)
+    end = max(int(clock.ticks[min(enough * clock.length, clock.done[0]) - 1]) for clock, enough in clocks)
+    return end if 2 * (end - bursts.first) < bursts.last - bursts.first else bursts.last
 
 
 def compare(suspect: Suspect, coarse: Bursts, fine: Bursts, whole: bool) -> Comparison | None:
@@ -148,21 +150,19 @@ def judge_first(found: Sequence[Suspect], coarse: Bursts, fine: Bursts) -> Verdi
     changes = [c.change for c in compared if c]
     if min(changes) < -CERTAIN:
         return Verdict.UNSTABLE
-    if max(map(abs, changes)) > NONE:
-        return Verdict.OPEN
-    return Verdict.LOCKED if any(c.locked for c in compared if c) else Verdict.STEADY
+    if any(c.locked for c in compared if c) and max(map(abs, changes)) <= NONE:
+        return Verdict.LOCKED
+    rhythmic = any(suspect.rhythm > RHYTHM for suspect in found)  # a limit cycle may still grow
+    return Verdict.OPEN if rhythmic or max(map(abs, changes)) > NONE else Verdict.STEADY
 
 
 def judge_whole(found: Sequence[Suspect], coarse: Bursts, fine: Bursts, changes: Mapping[int, float]) -> Verdict:
-    """On a loop, from all of the run that both have done.  found: its suspects.  changes: see `changes_of`.
-
-    An rms that rises tells only where it rises by a rhythm: a model of noise may have more of it at shorter steps.
-    """
+    """On a loop, from all of the run that both have done.  found: its suspects.  changes: see `changes_of`."""
     compared = [(suspect.output, compare(suspect, coarse, fine, whole=True)) for suspect in found]
     rhythmic = {output for output, c in compared if c and c.rhythm > RHYTHM}
     for output, change in changes.items():
         least = CHANGE if coarse.outputs[output].command else CHANGE_OF_STATE
-        if change < -least or (change > least and output in rhythmic):
+        if change < -least or change > (least if output in rhythmic else CHANGE_OF_NOISE):
             return Verdict.UNSTABLE
     return Verdict.LOCKED if any(c.locked for _, c in compared if c) else Verdict.STEADY
 
