@@ -143,6 +143,7 @@ class Metric:
     takes: tuple[str, ...] = ("reference", "unit", "wrap")
     axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name; ("*",): every axis
     ranks: str = "always"  # whether a smaller magnitude is better: "always", "never", "of an error" (with a reference)
+    counts: bool = False  # what happens from step to step: no power law of the step
 
 
 POWER_UNIT = "1"  # of commands, which energy and mean_power take
@@ -160,7 +161,7 @@ METRICS = {
     "settling_time": Metric(settling_time, "s", needs=("band",)),
     "convergence_time": Metric(convergence_time, "s", needs=("band",)),
     "overshoot": Metric(overshoot, "%", needs=("reference",), takes=("wrap",)),
-    "total_variation": Metric(total_variation, takes=("unit",)),
+    "total_variation": Metric(total_variation, takes=("unit",), counts=True),
     "energy": Metric(energy, "J", needs=("max_power",), takes=(), axes=("*",)),
     "mean_power": Metric(mean_power, "W", needs=("max_power",), takes=(), axes=("*",)),
     "distance": Metric(distance, "m", needs=("reference",), takes=("stat",), axes=("x", "y", "z"), ranks="never"),

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from experiments import EXPERIMENTS
 from orchestrator.studies.convergence import assess, observed_order
 
 
@@ -55,6 +56,76 @@ def test_mfsosmc_at_one_millisecond_is_not_although_its_position_errors_look_rig
     assert any("controller.tau" in warning for warning in answer.json["warnings"])
     assert answer.json["metrics"]["rmse_x"]["converged"] is True
     assert answer.json["metrics"]["rms_T1"]["converged"] is False
+
+
+@pytest.fixture
+def inverse(models, write):
+    """inverse(metrics, steps) -> the path of an experiment with tests/fmus/inverse.py."""
+
+    def path(**metrics):
+        return write(
+            {
+                "master": {"stop_time": 0.04, "step": 0.002},
+                "components": {"model": {"fmu": "inverse"}},
+                "metrics": metrics,
+            }
+        )
+
+    return path
+
+
+def test_a_metric_that_doubles_with_each_halving_is_not_converged_however_small_it_is(orch, inverse):
+    answer = orch("converge", inverse(last={"of": "final", "signal": "model.y"}), "--steps", "4e-3,1e-3", "--json")
+    assert answer.code == 1, answer.err
+    assert answer.json["metrics"]["last"]["values"] == {"0.004": 2.5e-7, "0.002": 5e-7, "0.001": 1e-6}
+    assert answer.json["metrics"]["last"]["order"] is None
+    assert not answer.json["converged"]
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_an_error_is_negligible_beside_its_quantity_in_any_unit(orch, inverse, unit):
+    metrics = {name: {"of": "final", "signal": f"model.{name}", "unit": unit} for name in ("z.a", "z.b")}
+    path = inverse(small=metrics["z.a"], large=metrics["z.b"])
+    answer = orch("converge", path, "--steps", "4e-3,1e-3", "--json")
+    assert answer.code == 0, answer.out
+    assert answer.json["metrics"]["small"]["error"] > 0.4 * answer.json["metrics"]["small"]["values"]["0.001"]
+
+
+def test_what_counts_changes_gets_no_order(orch, inverse, short, write):
+    metrics = {"turns": {"of": "total_variation", "signal": "model.n"}}
+    answer = orch("converge", inverse(**metrics), "--steps", "4e-3,1e-3", "--json")
+    assert answer.code == 1
+    assert answer.json["metrics"]["turns"]["order"] is None
+    short["metrics"] = {
+        "smooth": {"of": "total_variation", "signal": "allocation.u.T1"},
+        "rms_T1": {"of": "rms", "signal": "allocation.u.T1"},
+    }
+    answer = orch("converge", write(short), "--json")
+    assert answer.json["metrics"]["smooth"]["order"] is None
+    assert answer.json["metrics"]["rms_T1"]["order"] is not None
+    assert answer.code == 0
+
+
+@pytest.mark.slow
+def test_the_spiral_under_mfsosmc_is_converged_although_its_roll_of_a_hundred_thousandth_of_a_degree_is_not(orch):
+    answer = orch("converge", EXPERIMENTS / "spiral_mfsosmc.toml", "--json")
+    roll = answer.json["metrics"]["rmse_phi"]
+    assert 0.05 * roll["values"]["5e-05"] < roll["error"] < 5e-5  # deg
+    assert answer.json["converged"] is True
+
+
+def test_a_warning_that_does_not_call_numbers_wrong_leaves_them_converged(orch, probe, write):
+    path = write(
+        {
+            "master": {"stop_time": 0.04, "step": 0.002},
+            "components": {"probe": {"fmu": str(probe), "start": "fmu", "parameters": {"mode": 9}}},
+            "metrics": {"last": {"of": "final", "signal": "probe.y"}},
+        }
+    )
+    answer = orch("converge", path, "--steps", "4e-3,1e-3", "--json")
+    assert answer.json["warnings"]
+    assert answer.json["converged"] is True
+    assert answer.code == 0
 
 
 def test_steps_that_do_not_fit_are_refused_with_their_reason(orch, write, short):

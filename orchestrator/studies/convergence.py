@@ -1,6 +1,7 @@
 """Is the result converged?  The same experiment at several communication steps, metric by metric.
 
-With m(h) = m_0 + c h^p, three steps give the observed order p, and the two finest of them the limit m_0.
+With m(h) = m_0 + c h^p, three steps give the observed order p, and the two finest of them the limit m_0.  A metric that
+counts what happens from step to step, such as total variation, follows no such law and is given no order.
 """
 
 from __future__ import annotations
@@ -12,16 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExperimentError, Problem
-from ..metrics import unit_of
+from ..fmu.units import conversion
+from ..metrics import METRICS, unit_of
+from ..names import split_axis
 from ..plan.plan import Plan
+from ..records.file.run import Run
 from ..runs.prepare import Report, prepare
 from ..views import figures
 from ..views.tables import terminal
+from ..warning import Warned, are_wrong
 from . import processes
 from .progress import CommandProgress
 
 TOLERANCE = 0.05  # of a metric: an estimated error beyond it means "not converged"
-NOISE = 1e-6  # SI; a metric that is zero but for rounding has no relative error
+NEGLIGIBLE = 1e-6  # of the quantity that a metric is of: of the largest magnitude of its vector, in the same unit
 FACTORS = (4.0, 2.0, 1.0, 0.5)  # of the experiment's own step, where the user names no steps
 
 
@@ -35,11 +40,17 @@ class MetricConvergence:
     order: float
     limit: float  # m_0, or the value at the finest step where there is no order
     error: float  # estimated, at the experiment's own step
+    negligible: float = 0.0  # an error that is too small for the quantity to matter, whatever the metric is
 
     def converged(self, own: float) -> bool:
-        """Whether the estimated error is small against the metric, or against what it changes by over all steps."""
+        """Whether the estimated error is small against the metric or against its quantity.
+
+        A metric that has no value at any step, as a time that is never reached, is the same at all of them.
+        """
+        if all(math.isnan(value) for value in self.values.values()):
+            return True
         size = max(abs(self.limit), abs(self.values[own]))
-        return math.isfinite(self.error) and self.error <= TOLERANCE * size + NOISE
+        return math.isfinite(self.error) and self.error <= max(TOLERANCE * size, self.negligible)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +61,11 @@ class ConvergenceStudy:
     own: float  # s, the experiment's own step
     steps: tuple[float, ...]  # s, coarse to fine
     metrics: tuple[MetricConvergence, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Warned, ...]
 
     @property
     def converged(self) -> bool:
-        return not self.warnings and all(metric.converged(self.own) for metric in self.metrics)
+        return not are_wrong(self.warnings) and all(metric.converged(self.own) for metric in self.metrics)
 
 
 def study(
@@ -80,15 +91,18 @@ def study(
     by_step = dict(zip(chosen, ended, strict=True))
     units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
     metrics = []
-    for name, spec in plan.experiment.metrics.items():
-        values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
-        metrics.append(assess(name, unit_of(spec, units), values, own))
+    with Run(by_step[own]["file"]) as record:
+        warnings = tuple(record.warnings)
+        for name, spec in plan.experiment.metrics.items():
+            values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
+            small, counts = negligible(record, spec, own), METRICS[spec["of"]].counts
+            metrics.append(assess(name, unit_of(spec, units), values, own, small, counts))
     return ConvergenceStudy(
         experiment=plan.experiment.path.stem,
         own=own,
         steps=chosen,
         metrics=tuple(metrics),
-        warnings=tuple(by_step[own]["warnings"]),
+        warnings=warnings,
     )
 
 
@@ -118,17 +132,41 @@ def _plans(
     return plans
 
 
-def assess(name: str, unit: str, values: Mapping[float, float], own: float) -> MetricConvergence:
-    """Order, limit and error of one metric from its three finest steps.  values: {step: metric}."""
+def negligible(record: Run, spec: Mapping[str, Any], step: float) -> float:
+    """An error of a metric that does not matter because its quantity is a million times as large.
+
+    record: of the run.  step: s, which times cannot be closer than.  Returns it in the unit of the metric; 0 where the
+    signal is not recorded, or the metric is no measure of its quantity.
+    """
+    duration = float(record.time[-1] - record.time[0])
+    unit = record.units(spec["signal"]) if spec["signal"] in record.signals else ""
+    vector = _vector(spec["signal"])
+    axes = [name for name in record.signals if _vector(name) == vector and record.units(name) == unit]
+    largest = max((float(abs(record[name]).max()) for name in axes), default=0.0)
+    small = NEGLIGIBLE * largest * (conversion(unit, {}, spec["unit"], {})[0] if "unit" in spec else 1.0)
+    by_unit = {"{}": small, "{}.s": small * duration, "({})2.s": small**2 * duration, "{}.s2": small * duration**2 / 2}
+    return {**by_unit, "s": step}.get(METRICS[spec["of"]].unit, 0.0)
+
+
+def assess(
+    name: str, unit: str, values: Mapping[float, float], own: float, negligible: float = 0.0, counts: bool = False
+) -> MetricConvergence:
+    """Order, limit and error of one metric from its three finest steps.
+
+    values: {step: metric}.  negligible: see MetricConvergence.  counts: whether it counts what happens from step to
+    step; it gets no order.
+    """
     steps = sorted(values, reverse=True)
     h1, h2, h3 = steps[-3:]
     m1, m2, m3 = (values[h] for h in (h1, h2, h3))
-    order = observed_order((h1, h2, h3), (m1, m2, m3))
+    order = math.nan if counts else observed_order((h1, h2, h3), (m1, m2, m3))
     limit = m3 if math.isnan(order) else m3 + (m3 - m2) / ((h2 / h3) ** order - 1)
     error = abs(values[own] - limit)
     if math.isnan(order) and own == h3:  # nothing finer to compare with
         error = abs(m3 - m2)
-    return MetricConvergence(name=name, unit=unit, values=dict(values), order=order, limit=limit, error=error)
+    return MetricConvergence(
+        name=name, unit=unit, values=dict(values), order=order, limit=limit, error=error, negligible=negligible
+    )
 
 
 def observed_order(steps: tuple[float, float, float], values: tuple[float, float, float]) -> float:
@@ -184,7 +222,10 @@ def report(study: ConvergenceStudy) -> str:
         order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
         error = terminal.tied(f"{metric.error:.2g} {metric.unit}".strip())
         rows.append([metric.name, *values, order, error, "" if metric.converged(study.own) else "not converged"])
-    note = f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed"
+    note = (
+        f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed, "
+        "or a millionth of the quantity"
+    )
     lines = [*terminal.table(rows), "", note, *(f"warning: {warning}" for warning in study.warnings)]
     verdict = "converged" if study.converged else "NOT converged"
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
@@ -208,6 +249,12 @@ def as_json(study: ConvergenceStudy) -> dict[str, Any]:
             for m in study.metrics
         },
     }
+
+
+def _vector(signal: str) -> tuple[str, str]:
+    """Component and variable of a signal, without its axis."""
+    component, _, variable = signal.partition(".")
+    return component, split_axis(variable)[0]
 
 
 def _number(value: float | None) -> float:
