@@ -6,7 +6,7 @@ order, in `warning_kinds`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -17,11 +17,12 @@ class Kind(StrEnum):
     UNSTABLE = "unstable"  # a loop is unstable at this step: the numbers of the run are wrong
     SAMPLING = "sampling"  # a loop is unstable because of a component's own period: right for what is sampled so
     SWITCHING = "switching"  # a loop switches in every step, however short it is: what counts changes is wrong
+    ROWS = "rows"  # metrics of a record of format 1, of its rows and not of every step
     UNCHECKED = "unchecked"  # a loop oscillates, and nothing could be run to compare it with
     OTHER = ""
 
 
-WRONG = frozenset({Kind.UNSTABLE})  # kinds that say of every number of the run that it is wrong
+WRONG = frozenset({Kind.UNSTABLE, Kind.ROWS})  # kinds that say of every number of the run that it is wrong
 BEFORE_KINDS = "beyond its stability limit"  # in the text of the only warning of that sort, in records without kinds
 
 
@@ -48,7 +49,26 @@ def read(attributes: dict[str, Any]) -> list[Warned]:
         Kind.UNSTABLE if BEFORE_KINDS in text else Kind.OTHER for text in texts
     ]
     known = set(Kind)
-    return [Warned(text, Kind(kind) if kind in known else Kind.OTHER) for text, kind in zip(texts, kinds, strict=True)]
+    result = [
+        Warned(text, Kind(kind) if kind in known else Kind.OTHER) for text, kind in zip(texts, kinds, strict=True)
+    ]
+    if metrics_of(attributes) == "rows" and attributes.get("metrics"):
+        every = attributes["experiment_resolved"]["record"]["every"]
+        text = (
+            f"its metrics are of its rows, every {every:g} s, and not of every step of {attributes['step']:g} s: "
+            "they say nothing of what happens between rows; run the experiment again"
+        )
+        result.append(Warned(text, Kind.ROWS))
+    return result
+
+
+def metrics_of(attributes: Mapping[str, Any]) -> str:
+    """What the metrics of a record are of: "steps", or "rows" where it is of format 1 and does not keep every step."""
+    stated = attributes.get("metrics_of")
+    if stated is not None or "experiment_resolved" not in attributes:
+        return str(stated or "steps")
+    every = attributes["experiment_resolved"].get("record", {}).get("every", attributes["step"])
+    return "steps" if every == attributes["step"] else "rows"
 
 
 def are_wrong(warnings: Iterable[str]) -> bool:

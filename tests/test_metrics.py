@@ -1,6 +1,7 @@
 """Metrics against closed forms."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -14,63 +15,103 @@ SINE = np.sin(2 * np.pi * 5 * T)  # five periods: the sum over all samples but t
 DECAY = np.exp(-T / 0.1)
 TRAPEZOID = 1e-5  # relative: h^2 / 12 of the second derivative, at 1 ms
 
-# --- The functions ----------------------------------------------------------------------------------------------------
+# --- The definitions --------------------------------------------------------------------------------------------------
+
+
+def taken(of, time, *values, **arguments):
+    """A metric of samples that come in three blocks."""
+    metric = metrics.METRICS[of].accumulator(**arguments)
+    for block in np.array_split(np.arange(len(time)), min(3, len(time))):
+        metric.update(time[block], *(array[..., block] for array in values))
+    return metric.result()
 
 
 def test_rms_of_a_sine_is_its_amplitude_by_root_two():
-    assert metrics.rms(T[:-1], 3 * SINE[:-1]) == pytest.approx(3 / math.sqrt(2), rel=1e-12)  # rounding
-    assert metrics.rms(T, np.full(1001, -2.0)) == 2.0
+    assert taken("rms", T[:-1], 3 * SINE[:-1]) == pytest.approx(3 / math.sqrt(2), rel=1e-12)  # rounding
+    assert taken("rms", T, np.full(1001, -2.0)) == 2.0
 
 
 def test_max_abs_and_final():
-    assert metrics.max_abs(T, -4 * T) == 4.0
-    assert metrics.final(T, -4 * T) == -4.0
+    assert taken("max_abs", T, -4 * T) == 4.0
+    assert taken("final", T, -4 * T) == -4.0
 
 
 def test_integrals_of_an_exponential():
     rest = 1 - math.exp(-10)
-    assert metrics.iae(T, -DECAY) == pytest.approx(0.1 * rest, rel=TRAPEZOID)
-    assert metrics.ise(T, DECAY) == pytest.approx(0.05 * (1 - math.exp(-20)), rel=4 * TRAPEZOID)  # twice as steep
-    assert metrics.itae(T, DECAY) == pytest.approx(0.01 * (1 - 11 * math.exp(-10)), rel=TRAPEZOID)
-    assert metrics.itae(T + 5.0, DECAY) == pytest.approx(metrics.itae(T, DECAY), rel=1e-12)  # t from the first sample
+    assert taken("iae", T, -DECAY) == pytest.approx(0.1 * rest, rel=TRAPEZOID)
+    assert taken("ise", T, DECAY) == pytest.approx(0.05 * (1 - math.exp(-20)), rel=4 * TRAPEZOID)  # twice as steep
+    assert taken("itae", T, DECAY) == pytest.approx(0.01 * (1 - 11 * math.exp(-10)), rel=TRAPEZOID)
+    assert taken("itae", T + 5.0, DECAY) == pytest.approx(taken("itae", T, DECAY), rel=1e-12)  # t from the first sample
 
 
 def test_settling_time_is_when_the_error_enters_the_band_for_good():
-    assert metrics.settling_time(T, DECAY, 0.05) == T[int(np.ceil(0.1 * math.log(20) * 1000))]
+    assert taken("settling_time", T, DECAY, band=0.05) == T[int(np.ceil(0.1 * math.log(20) * 1000))]
     swing = np.where(T < 0.5, 0.0, np.where(T < 0.6, 1.0, 0.0))  # in, out again, in
-    assert metrics.settling_time(T, swing, 0.1) == 0.6
-    assert metrics.convergence_time(T, swing, 0.1) == 0.0
+    assert taken("settling_time", T, swing, band=0.1) == 0.6
+    assert taken("convergence_time", T, swing, band=0.1) == 0.0
 
 
 def test_settling_time_at_its_edges():
     ramp = T.copy()
-    assert metrics.settling_time(T, 0 * T, 0.1) == 0.0  # never outside
-    assert metrics.settling_time(T + 3.0, 0 * T, 0.1) == 3.0  # of a window: from its start
-    assert metrics.settling_time(T, ramp, 0.1) == math.inf  # outside at the end
-    assert metrics.settling_time(T, 1 - ramp, 1.0) == 0.0  # on the edge of the band is inside
-    assert metrics.settling_time(T[:1], np.array([2.0]), 1.0) == math.inf
+    assert taken("settling_time", T, 0 * T, band=0.1) == 0.0  # never outside
+    assert taken("settling_time", T + 3.0, 0 * T, band=0.1) == 3.0  # of a window: from its start
+    assert taken("settling_time", T, ramp, band=0.1) == math.inf  # outside at the end
+    assert taken("settling_time", T, 1 - ramp, band=1.0) == 0.0  # on the edge of the band is inside
+    assert taken("settling_time", T[:1], np.array([2.0]), band=1.0) == math.inf
     last = np.r_[np.ones(1000), 0.0]
-    assert metrics.settling_time(T, last, 0.5) == 1.0  # inside in the last sample only
-    assert metrics.convergence_time(T, 1 + ramp, 0.1) == math.inf
+    assert taken("settling_time", T, last, band=0.5) == math.inf  # inside in the last sample only
+    assert taken("convergence_time", T, 1 + ramp, band=0.1) == math.inf
+
+
+@pytest.mark.parametrize("end", [11.97, 12.0, 12.22, 12.5, 13.0])
+def test_an_everlasting_oscillation_never_settles_wherever_the_record_ends(end):
+    """Inside for less than a tenth of the window is passing through."""
+    time = np.arange(0.0, end, 1e-3)
+    assert taken("settling_time", time, np.sin(2 * np.pi * time), band=0.2) == math.inf
+
+
+@pytest.mark.parametrize(("inside", "expected"), [(99, math.inf), (102, 0.899)])
+def test_a_signal_has_settled_when_it_has_been_inside_for_a_tenth_of_the_window(inside, expected):
+    error = np.r_[np.ones(1001 - inside), np.zeros(inside)]
+    assert taken("settling_time", T, error, band=0.5) == expected
 
 
 def test_overshoot_and_total_variation():
-    assert metrics.overshoot(T, DECAY) == 0.0
-    assert metrics.overshoot(T, -2 * np.cos(2 * np.pi * T)) == pytest.approx(100.0)
-    assert math.isnan(metrics.overshoot(T, T))
-    assert metrics.total_variation(T, SINE) == pytest.approx(20.0, rel=TRAPEZOID)  # 4 per period
+    assert taken("overshoot", T, DECAY) == 0.0
+    assert taken("overshoot", T, -2 * np.cos(2 * np.pi * T)) == pytest.approx(100.0)
+    assert math.isnan(taken("overshoot", T, T))
+    assert taken("total_variation", T, SINE) == pytest.approx(20.0, rel=TRAPEZOID)  # 4 per period
 
 
 def test_energy_is_power_over_time():
-    u = np.column_stack([np.full(1001, 0.25), np.full(1001, -1.0)])
-    assert metrics.power(u, 100.0) == pytest.approx(np.full(1001, 112.5))  # 0.25^(3/2) = 1/8
-    assert metrics.energy(2 * T, u, 100.0) == pytest.approx(225.0)
-    assert metrics.mean_power(2 * T, u, 100.0) == pytest.approx(112.5)
+    u = np.vstack([np.full(1001, 0.25), np.full(1001, -1.0)])  # 0.25^(3/2) = 1/8
+    assert taken("energy", 2 * T, u, max_power=100.0) == pytest.approx(225.0)
+    assert taken("mean_power", 2 * T, u, max_power=100.0) == pytest.approx(112.5)
+    assert math.isnan(taken("mean_power", T[:1], u[:, :1], max_power=100.0))
+
+
+@pytest.mark.parametrize(
+    ("thrust", "watts"),
+    # The lines of the vendor's table at 16 V around each thrust, as they stand in it: kgf and W.
+    [(51.485, 381.3), (-39.913, 388.8), (40.0, 248.0), (20.0, 86.0), (10.0, 28.0), (0.0, 0.0)],
+)
+def test_power_of_a_t200_is_that_of_the_vendors_table(thrust, watts):
+    u = np.full((1, 11), thrust / 51.485)
+    power = taken("mean_power", T[:11], u, thruster="t200", voltage=16.0, max_thrust=51.485)
+    assert power == pytest.approx(watts, abs=2.0)  # the table's thrusts are 0.1 N apart, or 1 W at full thrust
+
+
+def test_power_between_two_voltages_lies_between_theirs():
+    u = np.full((1, 11), 1.0)
+    low, middle, high = (
+        taken("mean_power", T[:11], u, thruster="t200", voltage=v, max_thrust=30.0) for v in (14.0, 15.0, 16.0)
+    )
+    assert min(low, high) - 3.0 < middle < max(low, high) + 3.0
 
 
 def test_distance_is_euclidean():
     points = np.zeros((3, 3))
-    assert metrics.distance(T[:3], points, points + np.array([1.0, 2.0, -2.0])).tolist() == [3.0, 3.0, 3.0]
+    assert taken("distance", T[:3], points, points + np.array([[1.0], [2.0], [-2.0]])) == 3.0
 
 
 @pytest.mark.parametrize(
@@ -84,15 +125,15 @@ def test_distance_is_euclidean():
     ],
 )
 def test_heading_difference_lies_between_0_and_360_degrees(heading, other, degrees):
-    found = metrics.heading_difference(T[:1], np.array([[heading]]), np.array([[other]]))
-    assert found[0] == pytest.approx(degrees, abs=1e-9)  # rounding of multiples of pi
+    result = taken("heading_difference", T[:1], np.array([[heading]]), np.array([[other]]))
+    assert result == pytest.approx(degrees, abs=1e-9)  # rounding of multiples of pi
 
 
-def test_heading_difference_never_gives_360_degrees():
+@pytest.mark.parametrize("stat", ["min", "max"])
+def test_heading_difference_never_gives_360_degrees(stat):
     """Just below zero, the remainder rounds to 360."""
-    tiny = np.array([[-1e-20], [-1e-16], [0.0], [1e-20]])
-    found = metrics.heading_difference(T[:4], tiny, np.zeros((4, 1)))
-    assert ((found >= 0.0) & (found < 360.0)).all()
+    tiny = np.array([[-1e-20, -1e-16, 0.0, 1e-20]])
+    assert 0.0 <= taken("heading_difference", T[:4], tiny, np.zeros((1, 4)), stat=stat) < 360.0
 
 
 # --- In an experiment -------------------------------------------------------------------------------------------------
@@ -136,7 +177,7 @@ def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path)
         assert answer.json["metrics"][name] == (None if expected is None else pytest.approx(expected, abs=1e-12)), name
     with orchestrator.open_run(tmp_path / answer.json["file"]) as run:
         assert run.metrics["final"] == answer.json["metrics"]["final"]
-        assert math.isnan(run.metrics["never"])
+        assert run.metrics["never"] == math.inf
     text = orch("run", path).out
     lines = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
     assert lines["max"] == ["80", "mm"]
@@ -174,7 +215,7 @@ def test_a_metric_converts_to_any_unit_of_the_same_quantity(orch, write, waves, 
         ({"of": "rms"}, "signal", "is missing"),
         ({"of": "rms", "signal": 3}, "signal", "is 3, not a text"),
         ({"of": "rms", "signal": "one.rmap"}, "signal", "did you mean 'one.ramp'"),
-        ({"of": "rms", "signal": "one.eta"}, "signal", "no recorded signal 'one.eta'"),
+        ({"of": "rms", "signal": "one.eta"}, "signal", "no signal 'one.eta'"),
         ({"of": "rmse", "signal": "one.ramp"}, "reference", "is missing"),
         ({"of": "rmse", "signal": "one.ramp", "reference": "two.sine.b"}, "reference", "is in 'rad', one.ramp in 'm'"),
         ({"of": "rms", "signal": "one.ramp", "unit": "deg"}, "unit", "'m' does not convert to 'deg'"),
@@ -190,7 +231,7 @@ def test_a_metric_converts_to_any_unit_of_the_same_quantity(orch, write, waves, 
         (
             {"of": "distance", "signal": "one.eta", "reference": "two.sine"},
             "reference",
-            "no recorded signal 'two.sine'",
+            "no signal 'two.sine'",
         ),
         ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "median"}, "stat", "mean, min, max"),
         ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": ["min"]}, "stat", "not a text"),
@@ -205,12 +246,85 @@ def test_a_metric_that_makes_no_sense_says_why(problems, waves, spec, key, words
 def test_a_text_has_no_metric(problems, probe):
     ((key, sentence),) = problems(merged(single(probe), {"metrics": {"it": {"of": "final", "signal": "one.words"}}}))
     assert key == "metrics.it.signal"
-    assert "no recorded signal 'one.words'" in sentence
+    assert "no signal 'one.words'" in sentence
 
 
-def test_a_signal_that_is_not_recorded_has_no_metric(problems, waves):
-    changes = {"record": {"signals": ["*", "!*.ramp"]}, "metrics": {"it": {"of": "rms", "signal": "one.ramp"}}}
-    assert [key for key, _ in problems(merged(waves, changes))] == ["metrics.it.signal"]
+EVERY = {  # {metric: its definition over whole arrays}
+    "rms": lambda t, e: np.sqrt((e * e).mean()),
+    "max_abs": lambda t, e: abs(e).max(),
+    "final": lambda t, e: e[-1],
+    "iae": lambda t, e: np.trapezoid(abs(e), t),
+    "ise": lambda t, e: np.trapezoid(e * e, t),
+    "itae": lambda t, e: np.trapezoid((t - t[0]) * abs(e), t),
+    "total_variation": lambda t, e: abs(np.diff(e)).sum(),
+}
+
+
+@pytest.mark.parametrize("loop", ["compiled", "python"])
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
+def test_metrics_are_of_every_step_whatever_is_recorded(orch, write, waves, tmp_path, loop, algorithm):
+    """Longer than a block of samples, so that its metrics are taken in several."""
+    window = {"after": 0.0123, "before": 2.01}
+    specs = {of: {"of": of, "signal": "one.sine.a", **window} for of in EVERY}
+    specs["sparse"] = {"of": "rms", "signal": "one.sine.a", "every": 0.01}
+    specs["far"] = {"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "max"}
+    table = merged(waves, {"master": {"stop_time": 2.1, "step": 1e-4, "algorithm": algorithm}, "metrics": specs})
+    environment = {**os.environ, "ORCH_LOOP": loop}
+    full = orch("run", write(table), "--json", env=environment)
+    thin = merged(table, {"record": {"every": 0.1, "signals": ["!*"]}})
+    answer = orch("run", write(thin), "--json", env=environment)
+    assert answer.json["metrics"] == full.json["metrics"]  # bit for bit
+    with orchestrator.open_run(tmp_path / full.json["file"]) as run:
+        time, signal = run.time, run["one.sine.a"]
+    inside = (time >= window["after"]) & (time <= window["before"])
+    for of, whole in EVERY.items():
+        expected = whole(time[inside], signal[inside])
+        assert answer.json["metrics"][of] == pytest.approx(expected, rel=1e-12), of  # sums in another order
+    assert answer.json["metrics"]["sparse"] == pytest.approx(EVERY["rms"](time[::100], signal[::100]), rel=1e-12)
+    assert answer.json["metrics"]["far"] == pytest.approx(5.0)
+
+
+def test_every_of_a_metric_is_a_multiple_of_the_step(problems, waves):
+    table = merged(waves, {"metrics": {"it": {"of": "rms", "signal": "one.ramp", "every": 0.0015}}})
+    ((key, sentence),) = problems(table)
+    assert key == "metrics.it.every"
+    assert "0.0015 s is not a multiple of master.step = 0.001 s; try 0.001 or 0.002" in sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "words"),
+    [
+        ({}, "max_power", "is missing, or thruster, voltage and max_thrust"),
+        ({"max_power": 390.0, "thruster": "t200"}, "thruster", "does not go with max_power"),
+        ({"thruster": "t200", "voltage": 16.0}, "max_thrust", "is missing beside thruster"),
+        ({"thruster": "t20", "voltage": 16.0, "max_thrust": 40.0}, "thruster", "did you mean 't200'"),
+        ({"thruster": "t200", "voltage": 24.0, "max_thrust": 40.0}, "voltage", "from 10 to 20 V"),
+        (
+            {"thruster": "t200", "voltage": 16.0, "max_thrust": 45.0},
+            "max_thrust",
+            "51.5 N forward and 39.9 N in reverse",
+        ),
+    ],
+)
+def test_a_metric_of_power_says_which_power(problems, spiral, changes, key, words):
+    table = merged(spiral, {"metrics": {"it": {"of": "mean_power", "signal": "allocation.u", **changes}}})
+    result = problems(table)
+    assert any(k == f"metrics.it.{key}" and words in sentence for k, sentence in result), result
+
+
+def test_power_is_of_all_axes_of_the_vector_whatever_is_recorded(orch, write, spiral):
+    spec = {"of": "mean_power", "signal": "allocation.u", "max_power": 100.0}
+    table = merged(spiral, {"metrics": {"power": spec}})
+    one = orch("run", write(merged(table, {"record": {"signals": ["allocation.u.T1"]}})), "--json").json
+    assert one["metrics"] == orch("run", write(table), "--json").json["metrics"]
+
+
+def test_a_command_beyond_the_thrusters_table_has_no_power():
+    metric = metrics.METRICS["energy"].accumulator(thruster="t200", voltage=16.0, max_thrust=30.0)
+    metric.update(T[:3], np.array([[0.5, 2.0, 0.0]]))
+    assert math.isnan(metric.result())
+    assert "asks for 60 N" in metric.warning()
+    assert "51.5 N forward" in metric.warning()
 
 
 def test_metrics_take_integers_and_booleans(orch, write, probe):

@@ -203,21 +203,76 @@ def test_quiet_prints_nothing(orch, write, spiral):
     assert (answer.code, answer.out, answer.err) == (0, "", "")
 
 
-def test_a_completed_run_is_not_repeated_but_its_metrics_are_computed_again(orch, write, spiral, tmp_path):
+def test_a_completed_run_is_not_repeated_and_its_stored_metrics_are_shown(orch, write, spiral, tmp_path):
     first = orch("run", write(spiral), "--json")
     path = tmp_path / first.json["file"]
     content = path.read_bytes()
-    table = merged(spiral, {"title": "Another", "metrics": {"last": {"of": "final", "signal": "vehicle.eta.x"}}})
+    table = merged(spiral, {"title": "Another"})
     second = orch("run", write(table))
     assert "already in the store (--force runs it again)" in second.out
-    assert "last" in second.out
-    assert "rmse_x" not in second.out
+    assert "rmse_x" in second.out
     again = orch("run", write(table), "--json").json
     assert again["run_id"] == first.json["run_id"]
     assert again["wall_time"] == first.json["wall_time"]
-    with orchestrator.open_run(path) as found:
-        assert again["metrics"] == {"last": found["vehicle.eta.x"][-1]}
+    assert again["metrics"] == first.json["metrics"]
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "metrics",
+    [
+        {"last": {"of": "final", "signal": "vehicle.eta.x"}},
+        {"rmse_x": {"of": "rmse", "signal": "vehicle.eta.x", "reference": "reference.eta_d.x", "every": 0.01}},
+    ],
+)
+def test_a_record_without_a_metric_of_that_definition_is_repeated_to_the_same_rows(
+    orch, write, spiral, tmp_path, metrics
+):
+    first = orch("run", write(spiral), "--json")
+    path = tmp_path / first.json["file"]
+    with orchestrator.open_run(path) as run:
+        before = rows(run)
+    table = merged(spiral, {"metrics": metrics})
+    second = orch("run", write(table))
+    (name,) = metrics
+    assert f"repeated, the same rows bit for bit, for metrics that were not stored: {name}" in second.out
+    again = orch("run", write(table), "--json").json
+    assert (again["run_id"], again["file"]) == (first.json["run_id"], first.json["file"])
+    with orchestrator.open_run(path) as run:
+        assert {name: values.tobytes() for name, values in rows(run).items()} == {
+            name: values.tobytes() for name, values in before.items()
+        }
+        assert run.metrics == again["metrics"]
+        assert run.resolved["metrics"] == metrics
+
+
+def test_a_repeated_record_whose_rows_differ_leaves_the_earlier_one(orch, write, spiral, tmp_path):
+    first = orch("run", write(spiral), "--json")
+    path = tmp_path / first.json["file"]
+    with h5py.File(path, "r+") as file:
+        file["vehicle/eta.x"][3] = 0.5
+    table = merged(spiral, {"metrics": {"last": {"of": "final", "signal": "vehicle.eta.x"}}})
+    answer = orch("run", write(table))
+    assert answer.code == 2
+    assert "the rows are not the same" in answer.err
+    with orchestrator.open_run(path) as run:
+        assert run["vehicle.eta.x"][3] == 0.5
+
+
+def test_a_record_of_format_1_says_that_its_metrics_are_of_rows(orch, write, spiral, tmp_path):
+    path = write(merged(spiral, {"record": {"every": 0.01}}))
+    first = orch("run", path, "--json")
+    with h5py.File(tmp_path / first.json["file"], "r+") as file:
+        file.attrs["format_version"] = 1
+        del file.attrs["metrics_of"], file.attrs["metric_units"]
+    with orchestrator.open_run(tmp_path / first.json["file"]) as run:
+        assert run.metrics_of == "rows"
+        assert run.is_wrong
+    assert "its metrics are of its rows, every 0.01 s" in orch("show", first.json["run_id"]).out
+    assert orch("run", path, "--json").json["metrics"] == first.json["metrics"]
+    with orchestrator.open_run(tmp_path / first.json["file"]) as run:
+        assert run.metrics_of == "steps"
+        assert not run.is_wrong
 
 
 def test_a_forced_run_gives_the_same_bits_again(orch, write, spiral, tmp_path):
@@ -490,7 +545,7 @@ def test_a_run_leaves_no_folder_behind(orch, write, spiral, tmp_path):
 
 
 def test_the_metrics_in_the_record_are_those_that_were_printed(orch, write, spiral, tmp_path):
-    answer = orch("run", write(spiral), "--json")
+    answer = orch("run", write(merged(spiral, {"record": {}})), "--json")  # every step
     with record(answer, tmp_path) as found:
         error = found["vehicle.eta.x"] - found["reference.eta_d.x"]
         assert answer.json["metrics"]["rmse_x"] == pytest.approx(np.sqrt((error**2).mean()), rel=1e-14)  # rounding

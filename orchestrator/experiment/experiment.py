@@ -49,6 +49,7 @@ class RecordSpec:
     every: float  # s
     signals: tuple[str, ...] = ("*",)
     inputs: bool = False
+    envelope: bool | tuple[str, ...] = True  # or globs: whose least and largest values between rows are recorded
 
 
 @dataclass(frozen=True, kw_only=True)

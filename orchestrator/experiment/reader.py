@@ -20,7 +20,7 @@ from . import bounds, mavlink, sweep, tune
 from .experiment import ComponentSpec, ConnectionSpec, Experiment, MasterSpec, RecordSpec
 from .keys import split_key
 from .schema.sections import COMPONENT, COMPONENT_NAME, CONNECTION, EXPERIMENT, MASTER, RECORD, RESERVED
-from .schema.value_types import TABLE
+from .schema.value_types import TABLE, is_number
 from .timegrid import EXACT, TimeGrid
 
 
@@ -122,6 +122,12 @@ def _experiment(
     master, master_problems = _master(values.get("master", {}))
     components, component_problems = _components(values.get("components", {}), master, changes["swap"])
     metrics, metric_problems = _tables("metrics", values.get("metrics", {}))
+    metric_problems += [
+        problem
+        for name, spec in metrics.items()
+        if is_number(every := spec.get("every")) and every > 0
+        for problem in _multiple(every, master.step, f"metrics.{name}.every")
+    ]
     connections, connection_problems = _connections(values.get("connections", {}))
     record, record_problems = _record(values.get("record", {}), master)
     swept, names = values.get("sweep", {}), [component.name for component in components]
@@ -234,7 +240,9 @@ def _record(table: Mapping[str, Any], master: MasterSpec) -> tuple[RecordSpec, l
     if TimeGrid(every).ticks(master.stop_time) is None and TimeGrid(master.step).ticks(every) is not None:
         words = f"{every} s does not divide master.stop_time = {master.stop_time} s: the last row would be missing"
         problems.append(Problem("record.every", words))
-    return RecordSpec(every=every, signals=tuple(values["signals"]), inputs=values["inputs"]), problems
+    envelope = values["envelope"] if isinstance(values["envelope"], bool) else tuple(values["envelope"])
+    spec = RecordSpec(every=every, signals=tuple(values["signals"]), inputs=values["inputs"], envelope=envelope)
+    return spec, problems
 
 
 def _tables(section: str, table: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[Problem]]:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
+from .. import metrics
 from ..experiment.experiment import Experiment
 from ..fmu.fmu import Fmu
-from ..fmu.variables import Variable
-from ..names import ETA_AXES, NU_AXES
+from ..fmu.variables import ANGLE, NUMBERS, Variable
+from ..names import ETA_AXES, NU_AXES, matches
 
 
 class Origin(Protocol):
@@ -81,6 +82,16 @@ class Connection:
         return names if self.factor == 1.0 and self.offset == 0.0 else [*names, self.factor, self.offset]
 
 
+def readable(fmus: Mapping[str, Fmu]) -> dict[str, tuple[str, Variable]]:
+    """{signal: its component, and the variable} of every number that can be read while a run goes on."""
+    return {
+        f"{component}.{variable.name}": (component, variable)
+        for component, fmu in fmus.items()
+        for variable in fmu.variables.values()
+        if variable.causality in ("output", "input", "local") and variable.kind in NUMBERS
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
@@ -143,6 +154,49 @@ class Plan:
         assert ticks is not None  # checked by the reader
         return ticks
 
+    @cached_property
+    def readable(self) -> dict[str, tuple[str, Variable]]:
+        """{signal: its component, and the variable} of every number that can be read while the run goes on."""
+        return readable({component.name: component.fmu for component in self.components})
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """{signal: unit} of what is readable, "1" where it has none."""
+        return {name: variable.unit or "1" for name, (_, variable) in self.readable.items()}
+
+    @cached_property
+    def angles(self) -> set[str]:
+        """The readable signals whose differences are differences on the circle."""
+        return {name for name, (_, variable) in self.readable.items() if variable.quantity == ANGLE}
+
+    @cached_property
+    def measured(self) -> tuple[tuple[str, Variable], ...]:
+        """The signals that the metrics need, recorded or not."""
+        names = (n for spec in self.experiment.metrics.values() for n in metrics.signals_of(spec, self.readable))
+        return tuple(self.readable[name] for name in dict.fromkeys(names) if name in self.readable)
+
+    @cached_property
+    def bounded(self) -> tuple[tuple[str, Variable], ...]:
+        """The recorded signals whose least and largest value between rows are recorded, too: `record.envelope`."""
+        wanted = self.experiment.record.envelope
+        if wanted is False or self.stride == 1:
+            return ()
+        return tuple(
+            (component, v)
+            for component, v in self.recorded
+            if v.kind == "real" and not v.array
+            if (
+                v.causality == "output" and v.feedthrough
+                if wanted is True
+                else any(matches(f"{component}.{v.name}", pattern) for pattern in wanted)
+            )
+        )
+
+    @property
+    def reads_inputs(self) -> bool:
+        """Whether inputs are recorded or measured: then the values that were set stay readable."""
+        return self.experiment.record.inputs or any(v.causality == "input" for _, v in self.measured)
+
     @property
     def stride(self) -> int:
         """Ticks from row to row."""
@@ -177,6 +231,8 @@ class Plan:
             "record": {"every": record.every, "signals": [f"{c}.{v.name}" for c, v in self.recorded]},
             "metrics": {name: dict(spec) for name, spec in self.experiment.metrics.items()},
         }
+        if record.envelope is not True:
+            resolved["record"]["envelope"] = record.envelope and list(record.envelope)
         if self.created:
             resolved["created"] = self.created
         if self.origin:

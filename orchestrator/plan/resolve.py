@@ -20,11 +20,11 @@ from ..experiment.experiment import ComponentSpec, Experiment
 from ..fmu import builtin
 from ..fmu.fmu import Fmu, read
 from ..fmu.values import flatten
-from ..fmu.variables import DTYPES, NUMBERS, WHOLE, Variable
+from ..fmu.variables import DTYPES, WHOLE, Variable
 from ..models import catalogue
 from ..names import matches
 from .connections import Fmus, connect, dropped_sinks, undriven
-from .plan import Component, Plan
+from .plan import Component, Plan, readable
 
 Reader = Callable[..., Fmu]
 Signal = tuple[str, Variable]  # a component, and a variable of it
@@ -63,7 +63,8 @@ def resolve(
         *connection_problems,
         *input_problems,
         *record_problems,
-        *_metric_problems(experiment, fmus, recorded),
+        *_envelope_problems(experiment, fmus, recorded),
+        *_metric_problems(experiment, fmus),
         *_vehicle_problems(experiment, components),
     ]
     if problems:
@@ -239,8 +240,19 @@ def _recorded(experiment: Experiment, fmus: Fmus) -> tuple[list[Signal], list[Pr
     return recorded, problems
 
 
-def _metric_problems(experiment: Experiment, fmus: Fmus, recorded: Sequence[Signal]) -> list[Problem]:
-    units = {f"{c}.{v.name}": v.unit for c, v in recorded if v.kind in NUMBERS}
+def _envelope_problems(experiment: Experiment, fmus: Fmus, recorded: Sequence[Signal]) -> list[Problem]:
+    """Globs of record.envelope that match no recorded signal."""
+    envelope = experiment.record.envelope
+    names = [f"{component}.{v.name}" for component, v in recorded]
+    return [
+        Problem("record.envelope", f"{pattern!r} matches no recorded signal{did_you_mean(pattern, names)}")
+        for pattern in (() if isinstance(envelope, bool) else envelope)
+        if _is_known(pattern, experiment, fmus) and not any(matches(name, pattern) for name in names)
+    ]
+
+
+def _metric_problems(experiment: Experiment, fmus: Fmus) -> list[Problem]:
+    units = {name: v.unit for name, (_, v) in readable(fmus).items()}
     problems = []
     for name, spec in experiment.metrics.items():
         key = f"metrics.{name}"

@@ -124,7 +124,7 @@ class Shorter(Observer):
 
 
 def _shorter(plan: Plan, factor: int, kept: bool) -> Plan:
-    """The plan with shorter steps; nothing is recorded."""
+    """The plan with shorter steps; nothing is recorded or measured."""
     master = replace(plan.experiment.master, step=plan.experiment.master.step / factor)
     components = tuple(
         replace(
@@ -137,7 +137,7 @@ def _shorter(plan: Plan, factor: int, kept: bool) -> Plan:
     origin = plan.origin
     if isinstance(origin, Checkpoint):
         origin = replace(origin, about={**origin.about, "tick": origin.tick * factor})
-    experiment = replace(plan.experiment, master=master)
+    experiment = replace(plan.experiment, master=master, metrics={})
     return replace(plan, experiment=experiment, components=components, recorded=(), watched=(), origin=origin)
 
 

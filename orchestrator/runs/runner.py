@@ -13,9 +13,9 @@ from typing import Any
 
 import h5py
 
-from .. import metrics
 from ..errors import RunError, StoreError
 from ..plan.plan import Plan
+from ..records.compare.bits import compare
 from ..records.file.access import UNREADABLE, being_written, is_taken
 from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import writing
@@ -47,6 +47,7 @@ class RunResult:
     error: str = ""
     stopped_at: float | None = None
     repeated: bool = True  # False: the record existed already
+    added: Sequence[str] = ()  # metrics for which a completed record was repeated, as it did not have them
     checkpoints: Sequence[Path] = ()
     last_inputs: Mapping[str, Any] = field(default_factory=dict)  # of the component that failed
 
@@ -98,15 +99,20 @@ def execute(
     run_id, final = _place(plan, output, results)
     due = paths_of(plan, checkpoints, final)
     force = force or not all(path.is_file() for path in due.values())
+    added: list[str] = []
     if output is None and not force and _status(final) == "completed":
-        return _recall(run_id, final, plan)
+        added = _not_stored(final, plan)
+        if not added:
+            return _recall(run_id, final, plan)
     _refuse_second_writer(final)
     with interruptible() as interrupt, System.open(plan, interrupt.is_set, context) as system:
         # An earlier record stays until the new one is completed.
         path = _beside(final) if final.exists() else final
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
         if output is None and not force and _status(final) == "completed":
-            return _recall(run_id, final, plan)
+            added = _not_stored(final, plan)
+            if not added:
+                return _recall(run_id, final, plan)
         saver = CheckpointObserver(system, run_id, due)
         with writing(path, plan, run_id) as record:
             begin = partial(resume, plan.origin) if isinstance(plan.origin, Checkpoint) else initialize
@@ -117,6 +123,8 @@ def execute(
             half_step.judge(plan, record.outcome, bursts, interrupt)
     outcome = record.outcome
     if outcome.status == "completed" and path != final:
+        if added:
+            _refuse_other_rows(final, path)
         os.replace(path, final)
         path = final
     return RunResult(
@@ -129,6 +137,7 @@ def execute(
         warnings=outcome.warnings,
         error=outcome.error,
         stopped_at=outcome.stopped_at,
+        added=added,
         checkpoints=saver.saved,
         last_inputs=outcome.last_inputs,
     )
@@ -154,21 +163,40 @@ def _status(path: Path) -> str:
 
 
 def _recall(run_id: str, path: Path, plan: Plan) -> RunResult:
-    """The record that is already there, with the metrics that the file asks for today."""
+    """The record that exists already, with those of its metrics that the file asks for today."""
     with Run(path) as record:
-        attributes = record.attributes
+        attributes, stored = record.attributes, record.metrics
         return RunResult(
             run_id=run_id,
             file=path,
             status=record.status,
             wall_time=attributes["wall_time"],
             real_time_factor=attributes["real_time_factor"],
-            metrics=metrics.evaluate(record, plan.experiment.metrics),
+            metrics={name: stored[name] for name in plan.experiment.metrics},
             warnings=record.warnings,
             error=attributes["error"],
             stopped_at=attributes.get("stopped_at"),
             repeated=False,
         )
+
+
+def _not_stored(path: Path, plan: Plan) -> list[str]:
+    """The metrics that a completed record does not have with the definition that they have in the plan."""
+    with Run(path) as record:
+        stored, definitions = record.metrics, record.resolved.get("metrics", {})
+        of_steps = record.metrics_of == "steps"
+    wanted = plan.resolved["metrics"]
+    return [n for n, spec in wanted.items() if not of_steps or n not in stored or definitions.get(n) != spec]
+
+
+def _refuse_other_rows(earlier: Path, repeated: Path) -> None:
+    """Raises StoreError, and leaves both records, where they do not have the same rows."""
+    with Run(earlier) as then, Run(repeated) as now:
+        if difference := compare(then, now, ends=False):
+            raise StoreError(
+                f"{earlier} was repeated for metrics that it does not have, and the rows are not the same; it stays as "
+                f"it was, beside the repeated one, {repeated}\n{difference}"
+            )
 
 
 def _refuse_second_writer(path: Path) -> None:

@@ -121,6 +121,18 @@ typedef struct {
     Clock *clocks;
 } Bursts;
 
+/* What metrics need of every tick, and what the envelope of the rows needs: see sampling.py. */
+typedef struct {
+    size_t n, block; /* signals, and ticks that `values` has room for */
+    const int64_t *kinds;
+    const Py_ssize_t *places;
+    double *values; /* (n, block) */
+    Py_ssize_t first;
+    size_t n_bounded;
+    const Py_ssize_t *bounded; /* places in the table of reals */
+    double *least, *largest;   /* since the last row */
+} Samples;
+
 typedef struct {
     PyObject_HEAD
     PyObject *program; /* owns all memory below that is not freed in loop_dealloc */
@@ -132,6 +144,7 @@ typedef struct {
     const Py_ssize_t *recorded[KINDS];
     size_t n_recorded[KINDS];
     Bursts bursts;
+    Samples sampled;
     double *seconds; /* (steppers, 3): of set, step and get in timed steps */
     int64_t *samples;
     Py_ssize_t sample_every, stride;
@@ -286,6 +299,32 @@ static void look(const Bursts *b, void *const *tables, int64_t tick) {
     }
 }
 
+/* The values at the end of a tick, as column `column`. */
+static void take(const Samples *s, void *const *tables, size_t column) {
+    double *values = s->values + column;
+    for (size_t i = 0; i < s->n; i++, values += s->block)
+        *values = s->kinds[i] == REAL ? ((const double *)tables[REAL])[s->places[i]]
+                                      : load(tables[s->kinds[i]], s->places[i], s->kinds[i]);
+}
+
+static void widen(const Samples *s, const double *table) {
+    for (size_t i = 0; i < s->n_bounded; i++) {
+        double value = table[s->bounded[i]];
+        s->least[i] = value < s->least[i] ? value : s->least[i];
+        s->largest[i] = value > s->largest[i] ? value : s->largest[i];
+    }
+}
+
+/* The bounds since the last row, as a row (2, n_bounded); then those of nothing. */
+static void close_bounds(const Samples *s, double *row) {
+    for (size_t i = 0; i < s->n_bounded; i++) {
+        row[i] = s->least[i];
+        row[s->n_bounded + i] = s->largest[i];
+        s->least[i] = INFINITY;
+        s->largest[i] = -INFINITY;
+    }
+}
+
 /* The first stepper that has given a value that is not finite. */
 static Py_ssize_t not_finite(const Loop *self) {
     for (size_t i = 0; i < self->n_steppers; i++)
@@ -296,9 +335,10 @@ static Py_ssize_t not_finite(const Loop *self) {
 
 /* Steps from tick `first` until `last`.  Returns the ticks done; *failed: the stepper that failed, or -1. */
 static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, const double *times, double patience,
-                          void *rows[KINDS], Py_ssize_t *failed, int *status) {
+                          void *rows[KINDS], double *bounds, Py_ssize_t *failed, int *status) {
+    const Samples *samples = &self->sampled;
     double deadline = now() + patience, marks[4];
-    size_t row = 0;
+    size_t row = 0, column = samples->n ? (size_t)(first + 1 - samples->first) % samples->block : 0;
     Py_ssize_t next_row = (first / self->stride + 1) * self->stride;
     Py_ssize_t next_sample = (first + self->sample_every - 1) / self->sample_every * self->sample_every;
     for (Py_ssize_t k = first; k < last; k++) {
@@ -327,11 +367,14 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
             if (m->period == 1 || (k + 1) % m->period == 0) publish_all(self, m, PERIOD_END);
         }
         look(&self->bursts, self->tables, k + 1);
+        if (samples->n) take(samples, self->tables, column++);
+        if (samples->n_bounded) widen(samples, self->tables[REAL]);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
                 size_t n = self->n_recorded[kind], size = size_of(kind);
                 if (n) scatter((char *)rows[kind] + row * n * size, NULL, self->tables[kind], self->recorded[kind], n, kind);
             }
+            if (samples->n_bounded) close_bounds(samples, bounds + row * 2 * samples->n_bounded);
             row++;
             next_row += self->stride;
         }
@@ -480,6 +523,24 @@ static int parse_bursts(PyObject *tuple, Bursts *b) {
     return 0;
 }
 
+#define SAMPLES_FIELDS "kinds places values block first bounded least largest"
+#define SAMPLES_FORMAT "OOOnnOOO"
+static int parse_samples(PyObject *tuple, Samples *s) {
+    PyObject *kinds, *places, *values, *bounded, *least, *largest;
+    Py_ssize_t block;
+    if (!PyArg_ParseTuple(tuple, SAMPLES_FORMAT, &kinds, &places, &values, &block, &s->first, &bounded, &least,
+                          &largest))
+        return -1;
+    s->block = (size_t)block;
+    if (!(s->kinds = memory_of(kinds, sizeof(int64_t), &s->n))) return -1;
+    if (!(s->places = memory_of(places, sizeof(Py_ssize_t), NULL))) return -1;
+    if (!(s->values = memory_of(values, sizeof(double), NULL))) return -1;
+    if (!(s->bounded = memory_of(bounded, sizeof(Py_ssize_t), &s->n_bounded))) return -1;
+    if (!(s->least = memory_of(least, sizeof(double), NULL))) return -1;
+    if (!(s->largest = memory_of(largest, sizeof(double), NULL))) return -1;
+    return 0;
+}
+
 static void loop_dealloc(Loop *self) {
     PyTypeObject *type = Py_TYPE((PyObject *)self);
     for (size_t i = 0; self->steppers && i < self->n_steppers; i++) {
@@ -511,24 +572,26 @@ static int is_staged(const Loop *self, const Call *c) {
 }
 
 #define PROGRAM_FIELDS                                                                                                 \
-    "steppers tables computed recorded bursts seconds samples sample_every interrupt stride holds_lock "         \
+    "steppers tables computed recorded bursts sampled seconds samples sample_every interrupt stride holds_lock "       \
     "records_inputs"
-#define PROGRAM_FORMAT "O!O!(nn)O!O!OOnOnpp"
+#define PROGRAM_FORMAT "O!O!(nn)O!O!O!OOnOnpp"
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
-    PyObject *program, *steppers, *tables, *recorded, *bursts, *seconds, *samples, *interrupt;
+    PyObject *program, *steppers, *tables, *recorded, *bursts, *sampled, *seconds, *samples;
+    PyObject *interrupt;
     void *places[KINDS];
     if (self->program) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
     if (!PyArg_ParseTuple(arguments, "O!", &PyTuple_Type, &program)) return -1;
     if (!PyArg_ParseTuple(program, PROGRAM_FORMAT, &PyList_Type, &steppers, &PyTuple_Type, &tables, &self->n_reals,
-                          &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &bursts, &seconds, &samples,
-                          &self->sample_every, &interrupt, &self->stride, &self->holds_lock, &self->records_inputs))
+                          &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &bursts, &PyTuple_Type, &sampled,
+                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock, &self->records_inputs))
         return -1;
     self->program = Py_NewRef(program);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
         return -1;
     for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
     if (parse_bursts(bursts, &self->bursts) < 0) return -1;
+    if (parse_samples(sampled, &self->sampled) < 0) return -1;
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
@@ -552,20 +615,21 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
 }
 
 static PyObject *loop_advance(Loop *self, PyObject *arguments) {
-    PyObject *times, *rows;
+    PyObject *times, *rows, *bounds;
     Py_ssize_t first, last, done, failed = -1;
     double patience;
-    void *memory[KINDS], *start;
+    void *memory[KINDS], *start, *bounding;
     int status = 0;
-    if (!PyArg_ParseTuple(arguments, "nnOdO!", &first, &last, &times, &patience, &PyTuple_Type, &rows))
+    if (!PyArg_ParseTuple(arguments, "nnOdO!O", &first, &last, &times, &patience, &PyTuple_Type, &rows, &bounds))
         return NULL;
     if (!(start = memory_of(times, sizeof(double), NULL))) return NULL;
     if (memories_of(rows, 0, memory, NULL) < 0) return NULL;
+    if (!(bounding = memory_of(bounds, sizeof(double), NULL))) return NULL;
     if (self->holds_lock) {
-        done = advance(self, first, last, start, patience, memory, &failed, &status);
+        done = advance(self, first, last, start, patience, memory, bounding, &failed, &status);
     } else {
         Py_BEGIN_ALLOW_THREADS
-        done = advance(self, first, last, start, patience, memory, &failed, &status);
+        done = advance(self, first, last, start, patience, memory, bounding, &failed, &status);
         Py_END_ALLOW_THREADS
     }
     return Py_BuildValue("nni", done, failed, status);
@@ -573,8 +637,9 @@ static PyObject *loop_advance(Loop *self, PyObject *arguments) {
 
 static PyMethodDef loop_methods[] = {
     {"advance", (PyCFunction)loop_advance, METH_VARARGS,
-     "advance(first, last, times, patience, rows) -> (ticks done, failed stepper or -1, status)\n\n"
-     "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; rows: an array of each kind."},
+     "advance(first, last, times, patience, rows, bounds) -> (ticks done, failed stepper or -1, status)\n\n"
+     "times: (last - first,) of the ticks [s]; patience: s, after which it returns early; rows: an array of each kind; "
+     "bounds: (rows, 2, bounded), the least and the largest values since the row before."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -591,9 +656,10 @@ static PyType_Spec loop_spec = {"orchestrator.simulation._loop.Loop", sizeof(Loo
 
 /* What program.layout() must agree with. */
 static PyObject *layout_of(void) {
-    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
+    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
                          STEPPER_FIELDS, "CallProgram", CALL_FIELDS, "PublicationProgram", PUBLICATION_FIELDS,
-                         "BurstsProgram", BURSTS_FIELDS, "ClockProgram", CLOCK_FIELDS, "Conversion", CONVERSION_FIELDS, "kinds",
+                         "BurstsProgram", BURSTS_FIELDS, "ClockProgram", CLOCK_FIELDS, "SamplesProgram", SAMPLES_FIELDS,
+                         "Conversion", CONVERSION_FIELDS, "kinds",
                          EACH_KIND(NAME), "moments", MOMENT_NAMES, "NOT_FINITE",
                          PyUnicode_FromFormat("%d", NOT_FINITE));
 }

@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import Table, Tables
+from ..arrays import Reals, Table, Tables
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS
 from ..instances.instance import Call
 from .bursts import Bursts
 from .observer import Block, Interrupt
 from .program import NOT_FINITE, layout, program_of
-from .stepper import AT_ONCE, PERIOD_END, TICK_END, Stepper
+from .sampling import Samples
+from .stepper import AT_ONCE, EVERY, PERIOD_END, TICK_END, Stepper, Timing
 from .system import System
-from .timing import EVERY, Timing
 
 if TYPE_CHECKING:
     from . import _loop
@@ -36,9 +36,9 @@ class Loop(ABC):
 
     name: str
 
-    def __init__(self, system: System):
+    def __init__(self, system: System, samples: Samples):
         self.ticks = system.plan.first
-        self._system, self._rows = system, _Rows(system)
+        self._system, self._samples, self._rows = system, samples, _Rows(system, samples)
 
     @abstractmethod
     def advance(self, last: int, patience: float) -> None:
@@ -80,17 +80,18 @@ class Loop(ABC):
                 for publish in stepper.publish[PERIOD_END]:
                     publish()
         self.ticks = k + 1
+        self._samples.take(self.ticks)
         if self.ticks % self._system.plan.stride == 0:
             self._rows.add(self.ticks)
 
 
-def choose(system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt) -> Loop:
+def choose(system: System, bursts: Bursts, samples: Samples, timing: Timing, interrupt: Interrupt) -> Loop:
     """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
     loop = compiled()
     objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
     if loop is None or objects:
-        return InterpretedLoop(system, bursts, timing, interrupt)
-    return CompiledLoop(loop, system, bursts, timing, interrupt)
+        return InterpretedLoop(system, bursts, samples, timing, interrupt)
+    return CompiledLoop(loop, system, bursts, samples, timing, interrupt)
 
 
 def compiled() -> type[_loop.Loop] | None:
@@ -125,8 +126,15 @@ def _extension() -> ModuleType | None:
 class InterpretedLoop(Loop):
     name = "python"
 
-    def __init__(self, system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt):
-        super().__init__(system)
+    def __init__(
+        self,
+        system: System,
+        bursts: Bursts,
+        samples: Samples,
+        timing: Timing,
+        interrupt: Interrupt,
+    ):
+        super().__init__(system, samples)
         self._bursts, self._timing, self._interrupt = bursts, timing, interrupt
         self._steppers = [
             (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
@@ -184,6 +192,7 @@ class InterpretedLoop(Loop):
                         stepper.check_finite()
             self.ticks = k + 1
             self._bursts.look(self.ticks)
+            self._samples.take(self.ticks)
             if self.ticks % stride == 0:
                 self._rows.add(self.ticks)
 
@@ -198,19 +207,20 @@ class CompiledLoop(Loop):
         loop: type[_loop.Loop],
         system: System,
         bursts: Bursts,
+        samples: Samples,
         timing: Timing,
         interrupt: Interrupt,
     ):
-        super().__init__(system)
-        self._loop = loop(program_of(system, bursts, timing, interrupt))
+        super().__init__(system, samples)
+        self._loop = loop(program_of(system, bursts, samples, timing, interrupt))
 
     def advance(self, last: int, patience: float) -> None:
         first, stride = self.ticks, self._system.plan.stride
         ticks = range(first - first % stride + stride, last + 1, stride)
-        rows = self._rows.empty(len(ticks))
+        rows, bounds = self._rows.empty(len(ticks)), self._samples.empty(len(ticks))
         times = self._system.plan.experiment.grid.times(first, last)
-        self.ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()))
-        self._rows.extend(ticks[: self.ticks // stride - first // stride], rows)
+        self.ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()), bounds)
+        self._rows.extend(ticks[: self.ticks // stride - first // stride], rows, bounds)
         if failed >= 0:
             stepper = self._system.steppers[failed]
             if status == NOT_FINITE:
@@ -221,8 +231,8 @@ class CompiledLoop(Loop):
 class _Rows:
     """Gathers rows until they are taken; begins with the initial values."""
 
-    def __init__(self, system: System):
-        self._system = system
+    def __init__(self, system: System, samples: Samples):
+        self._system, self._samples = system, samples
         self._kinds = [kind for kind in system.recorded if len(system.recorded[kind])]
         self._blocks: list[Block] = []
         self._clear()
@@ -230,11 +240,13 @@ class _Rows:
 
     def _clear(self) -> None:
         self._ticks: list[int] = []
+        self._bounds: list[Reals] = []
         self._values: dict[str, list[Table]] = {kind: [] for kind in self._kinds}
 
     def add(self, tick: int) -> None:
         """A row of the current values."""
         self._ticks.append(tick)
+        self._bounds.append(self._samples.close_bounds())
         for kind, rows in self._values.items():
             rows.append(self._system.tables[kind][self._system.recorded[kind]])
 
@@ -243,11 +255,12 @@ class _Rows:
         recorded, tables = self._system.recorded, self._system.tables
         return {kind: np.empty((n, len(recorded[kind])), tables[kind].dtype) for kind in NUMBERS}
 
-    def extend(self, ticks: Sequence[int], rows: Mapping[str, Table]) -> None:
-        """The first of `rows`, one for each of `ticks`."""
+    def extend(self, ticks: Sequence[int], rows: Mapping[str, Table], bounds: Reals) -> None:
+        """The first of `rows` and `bounds`, one for each of `ticks`."""
         if ticks:
             self._flush()
-            self._blocks.append(Block(ticks, {kind: rows[kind][: len(ticks)] for kind in self._kinds}))
+            values = {kind: rows[kind][: len(ticks)] for kind in self._kinds}
+            self._blocks.append(Block(ticks, values, bounds[: len(ticks)]))
 
     def take(self) -> list[Block]:
         self._flush()
@@ -256,9 +269,8 @@ class _Rows:
 
     def _flush(self) -> None:
         if self._ticks:
-            self._blocks.append(
-                Block(tuple(self._ticks), {kind: np.array(rows) for kind, rows in self._values.items()})
-            )
+            values = {kind: np.array(rows) for kind, rows in self._values.items()}
+            self._blocks.append(Block(tuple(self._ticks), values, np.array(self._bounds)))
             self._clear()
 
 

@@ -21,12 +21,11 @@ from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
 from .bursts import Bursts
 from .initialization import AlgebraicLoop, initialize
-from .limits import Limits
 from .loop import Loop, choose, out_of_date
 from .observer import Interrupt, Observer, Outcome
-from .stepper import ComponentFailed
+from .sampling import Limits, Samples
+from .stepper import ComponentFailed, Timing
 from .system import System
-from .timing import Timing
 
 CHUNK_SECONDS = 0.02  # of wall time between two calls of the observers
 CHUNK_BYTES = 1 << 23  # of rows
@@ -92,7 +91,8 @@ def _step_all(
     system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt, bursts: Bursts
 ) -> None:
     timing = Timing([component.period for component in system.plan.components])
-    loop = choose(system, bursts, timing, interrupt)
+    samples = Samples(system)
+    loop = choose(system, bursts, samples, timing, interrupt)
     if message := out_of_date():
         outcome.warnings.append(message)
     limits = Limits(system)
@@ -104,7 +104,7 @@ def _step_all(
         while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
             since = time.perf_counter()
             try:
-                last = min(steps, loop.ticks + chunk)
+                last = samples.limit(loop.ticks, min(steps, loop.ticks + chunk))
                 for observer in observers:
                     last = observer.limit(loop.ticks, last)
                 loop.advance(last, CHUNK_SECONDS)
@@ -115,12 +115,14 @@ def _step_all(
                 outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
             finally:
                 outcome.ticks = loop.ticks
+                samples.evaluate(loop.ticks)
                 _hand_over(loop, observers)
             elapsed = time.perf_counter() - since
             chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
             for observer in observers:
                 observer.progress(loop.ticks)
     finally:  # also of a run that fails, or that an FMU ends
+        outcome.metrics = samples.results()
         timing.stepping = time.perf_counter() - began
         bursts.last = loop.ticks
         live = {
@@ -133,6 +135,7 @@ def _step_all(
         for observer in observers:
             outcome.timing |= observer.facts()
         outcome.warnings += limits.warnings()
+        outcome.warnings += samples.warnings()
     if loop.ticks < steps and outcome.stopped_at is None:
         outcome.status = "interrupted"
         outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
@@ -154,5 +157,5 @@ def _hand_over(loop: Loop, observers: Sequence[Observer]) -> None:
 
 def _largest_chunk(system: System) -> int:
     """Ticks whose rows take CHUNK_BYTES."""
-    row = sum(8 * len(places) for places in system.recorded.values())
+    row = sum(8 * len(places) for places in system.recorded.values()) + 16 * len(system.plan.bounded)
     return system.plan.stride * max(1, CHUNK_BYTES // max(1, row))

@@ -20,13 +20,15 @@ class Block:
     """Consecutive rows of the record, to read.
 
     ticks: (N,) of the rows.  values: {kind: (N, recorded values of that kind)}, in the order of `Plan.recorded`.
+    bounds: (N, 2, n), the least and the largest value since the row before, of each of `Plan.bounded`.
     """
 
     ticks: Sequence[int]
     values: Mapping[str, Table]
+    bounds: Reals
 
     def __post_init__(self) -> None:
-        for values in self.values.values():
+        for values in (*self.values.values(), self.bounds):
             values.flags.writeable = False
 
 
@@ -106,5 +108,6 @@ class Outcome:
     last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
     heard: dict[str, list[tuple[float, Reals]]] = field(default_factory=dict)  # by live components
     warnings: list[str] = field(default_factory=list)
-    timing: dict[str, Any] = field(default_factory=dict)  # see timing
+    timing: dict[str, Any] = field(default_factory=dict)  # see stepper.Timing
     calculated: dict[str, dict[str, Any]] = field(default_factory=dict)  # parameters, by component
+    metrics: dict[str, float] = field(default_factory=dict)  # of the steps that were done; nan without a sample

@@ -15,9 +15,9 @@ from ..fmu.variables import FLOATS, NUMBERS
 from ..instances.instance import Verb, references_of
 from .bursts import Bursts, BurstsProgram, ClockProgram
 from .observer import Interrupt
-from .stepper import Getter, Moment, Setter, Stepper
+from .sampling import Samples, SamplesProgram
+from .stepper import EVERY, Getter, Moment, Setter, Stepper, Timing
 from .system import System
-from .timing import EVERY, Timing
 
 NOT_FINITE = -1  # a status beside those of FMI
 CONVERSION = np.dtype([("kind", "i8"), ("source", "i8"), ("target", "i8"), ("factor", "f8"), ("offset", "f8")])
@@ -66,6 +66,7 @@ class Program(NamedTuple):
     computed: tuple[int, ...]  # how many values of the tables of FLOATS are outputs
     recorded: tuple[Places, ...]  # of each kind
     bursts: BurstsProgram
+    sampled: SamplesProgram
     seconds: Reals  # (steppers, 3), see Timing
     samples: Table  # (steppers,) int64
     sample_every: int  # ticks
@@ -75,7 +76,7 @@ class Program(NamedTuple):
     records_inputs: bool
 
 
-def program_of(system: System, bursts: Bursts, timing: Timing, interrupt: Interrupt) -> Program:
+def program_of(system: System, bursts: Bursts, samples: Samples, timing: Timing, interrupt: Interrupt) -> Program:
     """The program of an opened system.  The system must stay open while it is used."""
     plan = system.plan
     return Program(
@@ -84,6 +85,7 @@ def program_of(system: System, bursts: Bursts, timing: Timing, interrupt: Interr
         computed=tuple(system.computed[kind] for kind in FLOATS),
         recorded=tuple(system.recorded[kind] for kind in NUMBERS),
         bursts=bursts.program(),
+        sampled=samples.program(),
         seconds=timing.seconds,
         samples=timing.samples,
         sample_every=EVERY,
@@ -91,7 +93,7 @@ def program_of(system: System, bursts: Bursts, timing: Timing, interrupt: Interr
         stride=plan.stride,
         # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
         holds_lock=any(s.instance.batched or s.component.fmu.packaging == "python" for s in system.steppers),
-        records_inputs=plan.experiment.record.inputs,
+        records_inputs=plan.reads_inputs,
     )
 
 
@@ -136,7 +138,7 @@ def _call(stepper: Stepper, verb: Verb, call: Setter | Getter) -> CallProgram:
 
 def layout() -> dict[str, str]:
     """Fields, kinds and moments in the order of this side, as LAYOUT of `_loop.c`."""
-    records = (Program, StepperProgram, CallProgram, PublicationProgram, BurstsProgram, ClockProgram)
+    records = (Program, StepperProgram, CallProgram, PublicationProgram, BurstsProgram, ClockProgram, SamplesProgram)
     return {
         **{record.__name__: " ".join(record._fields) for record in records},
         "Conversion": " ".join(CONVERSION.names or ()),

@@ -161,7 +161,7 @@ class System:
         plan = self.plan
         connections = {(k.sink, k.input.name): k for k in plan.connections}
         read = {(k.source, k.output.name): k.output for k in plan.connections} | {
-            (c, v.name): v for c, v in (*plan.recorded, *plan.watched)
+            (c, v.name): v for c, v in (*plan.recorded, *plan.watched, *plan.measured)
         }
         fmus = {component.name: component.fmu for component in plan.components}
         outputs = _Ports(fmus, ((c, v) for (c, _), v in read.items() if v.causality != "input"))
@@ -243,7 +243,7 @@ class System:
             ),
             computed,
         )
-        if stepper.instance.batched and self.plan.experiment.record.inputs:
+        if stepper.instance.batched and self.plan.reads_inputs:
             every = np.arange(n, dtype=np.intp)
             publication = Publication(kind=kind, moment=AT_ONCE, buffer=buffer, chosen=every, targets=every + first)
             stepper.add_publication(publication, self.tables[kind])

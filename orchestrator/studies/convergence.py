@@ -89,14 +89,13 @@ def study(
     commands = [processes.command_of(f"step {step:g} s", plans[step], results) for step in chosen]
     ended = processes.run_plans(commands, CommandProgress(len(commands), report))
     by_step = dict(zip(chosen, ended, strict=True))
-    units = {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
     metrics = []
     with Run(by_step[own]["file"]) as record:
         warnings = tuple(record.warnings)
         for name, spec in plan.experiment.metrics.items():
             values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
             small, counts = negligible(record, spec, own), METRICS[spec["of"]].counts
-            metrics.append(assess(name, unit_of(spec, units), values, own, small, counts))
+            metrics.append(assess(name, unit_of(spec, plan.units), values, own, small, counts))
     return ConvergenceStudy(
         experiment=plan.experiment.path.stem,
         own=own,

@@ -15,7 +15,7 @@ from ...fmu.fmu import Fmu
 from ...metrics import finite
 from ...plan.feedthrough import Cycle, cycles
 from ...plan.plan import Plan
-from ...simulation.timing import PHASES
+from ...simulation.stepper import PHASES
 from ...views.tables import system
 from ...views.tables.terminal import table
 from ...warning import kinds_of
@@ -33,6 +33,8 @@ def result(result: RunResult, plan: Plan) -> str:
     head = f"{plan.experiment.path.stem} {result.run_id}: {result.status}"
     if not result.repeated:
         head += ", already in the store (--force runs it again)"
+    if result.added:
+        head += f"; repeated, the same rows bit for bit, for metrics that were not stored: {', '.join(result.added)}"
     if result.stopped_at is not None:
         head += f"; an FMU ended it at t = {result.stopped_at:.10g} s"
     lines = [
@@ -44,8 +46,8 @@ def result(result: RunResult, plan: Plan) -> str:
     lines += [f"  from              {plan.origin}"] if plan.origin else []
     lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
-        units = {f"{c}.{v.name}": v.unit for c, v in plan.recorded}
-        lines += ["  metrics", *table(_metrics(result.metrics, plan.experiment.metrics, units), 4, title=False)]
+        shown = _metrics(result.metrics, plan.experiment.metrics, plan.units)
+        lines += ["  metrics", *table(shown, 4, title=False)]
     return "\n".join(lines)
 
 
@@ -78,12 +80,11 @@ def record(run: Run) -> str:
         rest="--json",
     )
     if run.metrics:
-        units = {name: run.units(name) for name in run.signals}
         specs = facts["experiment_resolved"]["metrics"]
-        lines += ["", "  metrics", *table(_metrics(run.metrics, specs, units), 4, title=False)]
+        lines += ["", "  metrics", *table(_metrics(run.metrics, specs, run.metric_units), 4, title=False)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
-    lines += [f"warning: {warning}" for warning in facts["warnings"]]
+    lines += [f"warning: {warning}" for warning in run.warnings]
     return "\n".join(lines)
 
 

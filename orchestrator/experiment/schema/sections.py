@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 from ...metrics import METRICS, STATISTICS
+from ...metrics.thrusters import TABLES
 from .value_types import (
     SECONDS,
     TABLE,
@@ -229,6 +229,15 @@ RECORD = Section(
             meaning="Whether the globs match inputs and local variables, too.",
             example="true",
         ),
+        Key(
+            name="envelope",
+            type=either(TRUTH, list_of(TEXT), otherwise=", neither true or false nor a list of globs"),
+            default=True,
+            meaning="Of which recorded signals the least and the largest value between rows are recorded, too: "
+            "`true` for outputs that depend on an input at once, such as commands and forces, or globs. Of none where "
+            "`every` is the step.",
+            example='["allocation.u"]',
+        ),
     ),
 )
 
@@ -246,7 +255,7 @@ METRIC = Section(
             name="signal",
             type=TEXT,
             required=True,
-            meaning="What is judged: a recorded signal, or a vector where the metric is one of vectors.",
+            meaning="What is judged: a signal, recorded or not, or a vector where the metric is one of vectors.",
             example='"vehicle.eta.x"',
         ),
         Key(
@@ -274,7 +283,7 @@ METRIC = Section(
             name="after",
             type=number(least=0.0),
             unit="s",
-            absent="the first row",
+            absent="the first step",
             meaning="The window begins then.",
             example="6.0",
         ),
@@ -282,9 +291,17 @@ METRIC = Section(
             name="before",
             type=number(least=0.0),
             unit="s",
-            absent="the last row",
+            absent="the last step",
             meaning="The window ends then.",
             example="24.0",
+        ),
+        Key(
+            name="every",
+            type=positive("; give a positive number of seconds"),
+            unit="s",
+            absent="`master.step`",
+            meaning="Only samples at its multiples count; a multiple of `master.step`.",
+            example="0.01",
         ),
         Key(
             name="band",
@@ -297,8 +314,31 @@ METRIC = Section(
             name="max_power",
             type=positive("; give a positive number"),
             unit="W",
-            meaning="Power of one thruster at full thrust.",
-            example="350.0",
+            meaning="Power of one thruster at command 1; power goes with |u|^(3/2). Not beside `thruster`.",
+            example="390.0",
+        ),
+        Key(
+            name="thruster",
+            type=one_of(*TABLES),
+            absent="`max_power` counts",
+            meaning="Power is by the vendor's table of this thruster.",
+            example='"t200"',
+        ),
+        Key(
+            name="voltage",
+            type=positive("; give a positive number"),
+            unit="V",
+            absent="`max_power` counts",
+            meaning="Supply of the thruster, within its table.",
+            example="16.0",
+        ),
+        Key(
+            name="max_thrust",
+            type=positive("; give a positive number"),
+            unit="N",
+            absent="`max_power` counts",
+            meaning="Thrust at command 1; at -1 it is as large in reverse.",
+            example="40.0",
         ),
         Key(
             name="stat",
@@ -313,7 +353,7 @@ METRIC = Section(
         name: Variant(
             needs=metric.needs,
             takes=metric.takes,
-            meaning=re.split(r"\.  |\.\n|; see ", metric.function.__doc__ or "")[0].rstrip("."),
+            meaning=metric.meaning,
             unit=metric.unit.format("U"),
         )
         for name, metric in METRICS.items()

@@ -45,14 +45,14 @@ class Difference:
         return "\n".join(lines)
 
 
-def compare(then: Run, now: Run) -> Difference | None:
-    """What differs between two records; None where nothing does.
+def compare(then: Run, now: Run, ends: bool = True) -> Difference | None:
+    """What differs between two records; None where nothing does.  ends: also how they ended, and their metrics.
 
     A record of a sweep may have kept fewer rows, or none: then only these rows and signals are compared.
     """
     kept = "kept" in then.attributes
     chosen = np.isin(now.time, then.time) if kept else np.ones(len(now.time), dtype=bool)
-    facts = _ends(then, now)
+    facts = _ends(then, now) if ends else []
     if len(then.time) != chosen.sum():
         facts.append(f"rows: {len(then.time)} then, {chosen.sum()} now")
     if not kept:
@@ -84,9 +84,10 @@ def _ends(then: Run, now: Run) -> list[str]:
     if "warning_kinds" not in before:  # made before loops were judged as they are now
         for attributes in (before, after):
             attributes["warnings"] = [text for text in warning.read(attributes) if text.kind == Kind.OTHER]
+    comparable = [name for name in ENDS if name != "metrics" or then.metrics_of == now.metrics_of]
     return [
         f"{name}: {_short(before.get(name))} then, {_short(after.get(name))} now"
-        for name in differing([{name: of.get(name) for name in ENDS} for of in (before, after)])
+        for name in differing([{name: of.get(name) for name in comparable} for of in (before, after)])
     ]
 
 

@@ -116,8 +116,7 @@ def _matches(store: Store, run: str) -> list[Path]:
 
 def compare(paths: Iterable[Path], globs: Sequence[str] = ()) -> Comparison:
     """Read records.  globs: over names of metrics; none chooses all.  Raises StoreError where a glob fits no metric."""
-    units: dict[tuple[str, str], str] = {}
-    read = [_read(path, units) for path in paths]
+    read = [_read(path) for path in paths]
     names = list(dict.fromkeys(column.name for entry in read for column in entry.metrics))
     for pattern in globs:
         if not fnmatch.filter(names, pattern):
@@ -131,32 +130,19 @@ def compare(paths: Iterable[Path], globs: Sequence[str] = ()) -> Comparison:
     return Comparison(entries, chosen, list(_notes(entries, chosen)))
 
 
-def _read(path: Path, units: dict[tuple[str, str], str]) -> Entry:
-    """A record as an entry without name and label.  units: {(digest of an FMU, variable): unit}, so far."""
+def _read(path: Path) -> Entry:
+    """A record as an entry without name and label."""
     with Run(path) as run:
         attributes, status = run.attributes, run.status
         resolved = attributes["experiment_resolved"]
-        digests = {c["name"]: c["fmu_sha256"] for c in resolved["components"]}
-        values = {}
+        units, values = run.metric_units, {}
         for name, value in attributes["metrics"].items():
             spec = resolved["metrics"][name]
-            column = Column.of_spec(name, spec, _units(run, spec, digests, units))
+            column = Column.of_spec(name, spec, units)
             values[column] = math.nan if value is None else float(value)
     kept = ("run_id", "experiment", "title", "error", "experiment_resolved")
     facts = {name: attributes[name] for name in kept}
     return Entry(name="", path=path, label="", status=status, attributes=facts, metrics=values)
-
-
-def _units(
-    run: Run, spec: Mapping[str, Any], digests: Mapping[str, str], known: dict[tuple[str, str], str]
-) -> dict[str, str]:
-    """{signal: unit} as far as the unit of a metric depends on it; read from the record where it is not yet known."""
-    if spec["of"] not in METRICS or "{}" not in METRICS[spec["of"]].unit or "unit" in spec:
-        return {}
-    component, _, variable = spec["signal"].partition(".")
-    key = digests[component], variable
-    known[key] = known.get(key) or run.units(spec["signal"])
-    return {spec["signal"]: known[key]}
 
 
 def _names(entries: Sequence[Entry]) -> list[str]:

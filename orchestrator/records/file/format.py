@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 FORMAT = "orch-run"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # 1: metrics were of the rows, and there was no envelope
 ID_LENGTH = 10  # hex digits of the digest that make a run id
 HEARD = "_heard"  # group of what live components received from outside
 # Attributes in JSON.
@@ -11,6 +11,8 @@ JSON = (
     "experiment_resolved",
     "versions",
     "metrics",
+    "metrics_never",
+    "metric_units",
     "warnings",
     "warning_kinds",
     "timing",

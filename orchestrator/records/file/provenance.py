@@ -48,6 +48,11 @@ def attributes_of(plan: Plan, run_id: str, facts: Mapping[str, Any]) -> dict[str
         "pid": os.getpid(),
         "hostname": socket.gethostname(),
         "metrics": "{}",
+        "metrics_never": "[]",
+        "metrics_of": "steps",
+        "metric_units": json.dumps(
+            {s: plan.units[s] for spec in experiment.metrics.values() if (s := spec["signal"]) in plan.units}
+        ),
         "warnings": "[]",
         "warning_kinds": "[]",
         "timing": "{}",

@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 
 from ... import metrics
-from ...arrays import Signals
 from ...errors import RunError, StoreError
 from ...fmu.variables import DTYPES
 from ...plan.plan import Plan
@@ -25,7 +24,6 @@ from .format import HEARD
 from .hdf5 import attach_scales, create_attributes, image_of, in_memory, overwrite_attributes, write_rows
 from .provenance import attributes_of
 from .room import ReservedFile
-from .run import Run
 
 FLUSH_SECONDS = 1.0
 HEADER = 1 << 12  # bytes that a dataset takes without its values, and a node of its index, at most
@@ -38,7 +36,6 @@ def writing(
     run_id: str,
     *,
     facts: Mapping[str, Any] | None = None,
-    signals: Signals | None = None,
 ) -> Iterator[Recorder]:
     """The record of a run, from its first byte to its status: the one way from a plan to a record.
 
@@ -46,8 +43,7 @@ def writing(
     the rows that wait are written, how the run ended, the metrics of a completed run, and last its status.  A record
     that cannot be written any further (StoreError) makes the run a failed one, and says so.
 
-    facts: root attributes that are known already, in place of those that would be determined here.  signals: what the
-    metrics are evaluated on, if the record keeps too few rows for that.
+    facts: root attributes that are known already, in place of those that would be determined here.
 
     Raises StoreError where the file exists or cannot be created, and RunError where not even the end of the run can be
     written.  After any other exception, what was flushed stays readable.
@@ -56,7 +52,7 @@ def writing(
     try:
         try:
             yield recorder
-            recorder.finish(signals)
+            recorder.finish()
         except StoreError as error:
             recorder.give_up(error)
     except BaseException:
@@ -129,13 +125,12 @@ class Recorder(Observer):
             write_rows(self._datasets[TIME], first, times[np.array(ticks) - ticks[0]])
         self._rows, self._tick = last, ticks[-1]
 
-    def finish(self, signals: Signals | None) -> None:
+    def finish(self) -> None:
         """Write the rows that wait, how the run ended, and its metrics; the status is written last."""
         self.flush()
         self._conclude()
         if self.outcome.status == "completed":
-            rows = Run(self.path, self._file) if signals is None else signals
-            self.metrics = metrics.evaluate(rows, self._plan.experiment.metrics)
+            self.metrics = self.outcome.metrics
         self._close()
 
     def give_up(self, error: StoreError) -> None:
@@ -201,8 +196,9 @@ class Recorder(Observer):
 
     def _close(self) -> None:
         text = json.dumps(metrics.finite(self.metrics))
-        with self._reserved.writing(len(text) if self.metrics else 0):
-            overwrite_attributes(self._file, {"metrics": text})
+        never = json.dumps([name for name, value in self.metrics.items() if value == math.inf])
+        with self._reserved.writing(len(text) + len(never) if self.metrics else 0):
+            overwrite_attributes(self._file, {"metrics": text, "metrics_never": never})
         with self._reserved.writing(0):
             overwrite_attributes(self._file, {"status": self.outcome.status})
         self._reserved.close()

@@ -177,8 +177,24 @@ class Run:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """{metric: number}, nan where it has none."""
-        return {name: math.nan if v is None else float(v) for name, v in self.attributes["metrics"].items()}
+        """{metric: number}: inf where what it is the time of never happens, nan where it has none."""
+        attributes = self.attributes
+        missing = dict.fromkeys(attributes.get("metrics_never", ()), math.inf)
+        return {name: missing.get(name, math.nan) if v is None else v for name, v in attributes["metrics"].items()}
+
+    @property
+    def metrics_of(self) -> str:
+        """ "steps", or "rows" where the record is of format 1 and does not keep every step: what the metrics are of."""
+        return warning.metrics_of(self.attributes)
+
+    @property
+    def metric_units(self) -> dict[str, str]:
+        """{signal: unit} of the signals that the metrics name."""
+        attributes = self.attributes
+        if "metric_units" in attributes:
+            return dict(attributes["metric_units"])
+        specs = self.resolved.get("metrics", {}).values()
+        return {spec["signal"]: self.units(spec["signal"]) for spec in specs if spec["signal"] in self.signals}
 
     @property
     def warnings(self) -> list[Warned]:

@@ -114,7 +114,7 @@ def _formation(traces: Sequence[Trace]) -> list[Panel]:
         time, (one, two) = pair[0].time, (trace.vehicle.eta for trace in pair)
         style = {"color": pair[0].colour if len(runs) > 1 else GREY}
         position, other = (np.column_stack([eta[axis] for axis in ("x", "y", "z")]) for eta in (two, one))
-        distance.append(Curve(time, metrics.distance(time, position, other), style))
+        distance.append(Curve(time, metrics.distance(position, other), style))
         angle = np.unwrap(two["psi"] - one["psi"]) * DEG
         heading.append(Curve(time, angle - 360.0 * round(angle[0] / 360.0), style))
         depth.append(Curve(time, two["z"] - one["z"], style))

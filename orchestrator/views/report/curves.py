@@ -117,7 +117,7 @@ def _formation(fleet: Fleet) -> list[dict[str, Any]]:
         first, second = (vehicle.eta for vehicle in vehicles)
         ends = [np.column_stack([eta[axis] for axis in "xyz"]) for eta in (first, second)]
         turn = (second["psi"] - first["psi"]) * DEG
-        values = {"distance": metrics.distance(run.time, *ends), "heading": turn, "depth": second["z"] - first["z"]}
+        values = {"distance": metrics.distance(*ends), "heading": turn, "depth": second["z"] - first["z"]}
         for name, array in values.items():
             rows[name].append(_curve(fleet, i, vehicles[0].name, run.time, array, keys=[f"run{i}"]))
     panels = [

@@ -74,7 +74,7 @@ def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
     for run in runs:
         specs |= run.attributes["experiment_resolved"].get("metrics", {})
     values = [run.metrics for run in runs]
-    units = {name: run.units(name) for run in reversed(runs) for name in run.signals}
+    units = {name: unit for run in reversed(runs) for name, unit in run.metric_units.items()}
     rows = []
     for name in (name for name in specs if any(name in v for v in values)):
         unit = metrics.unit_of(specs[name], units)

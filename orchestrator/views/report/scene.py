@@ -96,7 +96,7 @@ def gripped(run: Run, vehicles: Sequence[Vehicle]) -> dict[str, Any] | None:
             continue
         guided = all({*"xyz"} <= {*vehicle.eta_d} for vehicle in pair)
         paths = [_places(vehicle.eta_d if guided else vehicle.eta) for vehicle in pair]
-        distance = metrics.distance(time, *paths)
+        distance = metrics.distance(*paths)
         length = float(np.median(distance[window]))
         steady = np.abs(distance - length) <= (STEADY if guided else HELD * length)
         if length == 0.0 or not steady[window].all():

@@ -218,7 +218,7 @@ def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Repo
 def _columns(plans: Sequence[Plan]) -> list[Column]:
     units: dict[str, str] = {}
     for plan in plans:
-        units |= {f"{component}.{variable.name}": variable.unit for component, variable in plan.recorded}
+        units |= plan.units
     return [Column.of_spec(name, spec, units) for name, spec in plans[0].experiment.metrics.items()]
 
 

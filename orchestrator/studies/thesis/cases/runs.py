@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .... import metrics
 from ....errors import RunError, StoreError
 from ....experiment.reader import load
 from ....plan.plan import Plan
@@ -64,6 +63,4 @@ def _record(case: Case, plan: Plan, store: Store) -> CaseRecord:
         raise RunError(f"{case.key}: its run completed, but the store has no record of it")
     with Run(path) as run:
         warnings = tuple(run.attributes["warnings"])
-        return CaseRecord(
-            case=case, plan=plan, path=path, metrics=metrics.evaluate(run, plan.experiment.metrics), warnings=warnings
-        )
+        return CaseRecord(case=case, plan=plan, path=path, metrics=run.metrics, warnings=warnings)

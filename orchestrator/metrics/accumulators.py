@@ -1,0 +1,318 @@
+"""The definitions of the metrics, over samples that come in blocks, in order.
+
+The first line of a class is what docs/experiment.md says of the metric.  Integrals over time are trapezoidal between
+the samples.  The error is signal - reference, or the signal itself where no reference is given.  The error of an angle
+against a reference is on the circle, in half a turn either way, where one of them is declared an angle or the key
+`wrap` says so; an angle without a reference is the number as it stands, turns included.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .thrusters import Curve
+
+if TYPE_CHECKING:
+    from ..arrays import Reals
+
+SETTLED_SHARE = 0.1  # of the window, which a signal must have been inside the band for at its end
+
+
+class Accumulator(ABC):
+    """A metric in the making."""
+
+    @abstractmethod
+    def update(self, time: Reals, *values: Reals) -> None:
+        """The next samples, at least one.
+
+        time: (n,) [s].  values: the error (n,); or the vectors that `signal` and `reference` name, (axes, n) each.
+        """
+
+    @abstractmethod
+    def result(self) -> float:
+        """Of the samples so far, at least one."""
+
+    def warning(self) -> str:
+        """What makes the result doubtful, or ""."""
+        return ""
+
+
+class Rms(Accumulator):
+    """Root mean square of the error over the samples (thesis Eq. 4.51)"""
+
+    def __init__(self) -> None:
+        self._sum, self._n = 0.0, 0
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        (error,) = values
+        self._sum += float((error * error).sum())
+        self._n += len(error)
+
+    def result(self) -> float:
+        return math.sqrt(self._sum / self._n)
+
+
+class MaxAbs(Accumulator):
+    """Largest magnitude"""
+
+    def __init__(self) -> None:
+        self._largest = 0.0
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        (error,) = values
+        self._largest = max(self._largest, float(error.max()), -float(error.min()))
+
+    def result(self) -> float:
+        return self._largest
+
+
+class Final(Accumulator):
+    """The last sample"""
+
+    def __init__(self) -> None:
+        self._last = math.nan
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        self._last = float(values[0][-1])
+
+    def result(self) -> float:
+        return self._last
+
+
+class SettlingTime(Accumulator):
+    """Time after which |error| <= band holds to the end, at least a tenth of the window [s]; inf if it never does"""
+
+    def __init__(self, band: float):
+        self._band = band
+        self._first = self._last = math.nan  # samples
+        self._entered: float | None = None  # since when the error has been inside; None: it is outside
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        (error,) = values
+        if math.isnan(self._first):
+            self._first = float(time[0])
+        outside = (abs(error) > self._band).nonzero()[0]
+        if len(outside):
+            last = int(outside[-1])
+            self._entered = float(time[last + 1]) if last + 1 < len(time) else None
+        elif self._entered is None:
+            self._entered = float(time[0])
+        self._last = float(time[-1])
+
+    def result(self) -> float:
+        if self._entered is None or self._last - self._entered < SETTLED_SHARE * (self._last - self._first):
+            return math.inf
+        return self._entered
+
+
+class ConvergenceTime(Accumulator):
+    """Time at which |error| <= band holds first [s]; inf if it never does"""
+
+    def __init__(self, band: float):
+        self._band, self._time = band, math.inf
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        if self._time == math.inf:
+            inside = (abs(values[0]) <= self._band).nonzero()[0]
+            self._time = float(time[inside[0]]) if len(inside) else math.inf
+
+    def result(self) -> float:
+        return self._time
+
+
+class Overshoot(Accumulator):
+    """Largest error of the opposite sign, in percent of the first sample; 0 if the sign never changes"""
+
+    def __init__(self) -> None:
+        self._first, self._largest = math.nan, 0.0
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        (error,) = values
+        if math.isnan(self._first):
+            self._first = float(error[0])
+        if self._first:
+            self._largest = max(self._largest, float((-error / self._first).max()))
+
+    def result(self) -> float:
+        return self._largest * 100.0 if self._first else math.nan
+
+
+class TotalVariation(Accumulator):
+    """Sum of |change| from sample to sample, a measure of chattering"""
+
+    def __init__(self) -> None:
+        self._sum, self._last = 0.0, math.nan
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        (signal,) = values
+        if not math.isnan(self._last):
+            self._sum += abs(float(signal[0]) - self._last)
+        self._sum += float(abs(signal[1:] - signal[:-1]).sum())
+        self._last = float(signal[-1])
+
+    def result(self) -> float:
+        return self._sum
+
+
+class Integral(Accumulator):
+    """Trapezoidal, of what `integrand` makes of the samples; t counts from the first of them."""
+
+    def __init__(self) -> None:
+        self._sum = 0.0
+        self._start = self._time = self._value = math.nan  # of the first sample, and of the last so far
+
+    def integrand(self, time: Reals, *values: Reals) -> Reals:
+        """(n,)"""
+        return values[0]
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        if math.isnan(self._start):
+            self._start = float(time[0])
+        integrand = self.integrand(time - self._start, *values)
+        if not math.isnan(self._time):
+            self._sum += float((integrand[0] + self._value) / 2 * (time[0] - self._time))
+        self._sum += float(((integrand[1:] + integrand[:-1]) / 2 * (time[1:] - time[:-1])).sum())
+        self._time, self._value = float(time[-1]), float(integrand[-1])
+
+    def result(self) -> float:
+        return self._sum
+
+
+class Iae(Integral):
+    """Integral of |error| over time"""
+
+    def integrand(self, time: Reals, *values: Reals) -> Reals:
+        return abs(values[0])
+
+
+class Ise(Integral):
+    """Integral of error^2 over time"""
+
+    def integrand(self, time: Reals, *values: Reals) -> Reals:
+        return values[0] * values[0]
+
+
+class Itae(Integral):
+    """Integral of t |error| over time, t from the first sample"""
+
+    def integrand(self, time: Reals, *values: Reals) -> Reals:
+        return time * abs(values[0])
+
+
+class Energy(Integral):
+    """Energy drawn by the thrusters over the window [J]"""
+
+    def __init__(
+        self,
+        max_power: float | None = None,
+        thruster: str = "",
+        voltage: float = math.nan,
+        max_thrust: float = math.nan,
+    ):
+        super().__init__()
+        self._max_power, self._max_thrust = max_power, max_thrust
+        self._curve = Curve(thruster, voltage) if max_power is None else None
+        self._beyond = 0.0  # largest thrust that the thruster does not give [N]
+
+    def integrand(self, time: Reals, *values: Reals) -> Reals:
+        (u,) = values
+        if self._curve is None:
+            size = abs(u)
+            power: Reals = (size * np.sqrt(size)).sum(axis=0) * self._max_power
+            return power
+        thrust = u * self._max_thrust
+        beyond = thrust[~self._curve.gives(thrust)]
+        if len(beyond):
+            self._beyond = max(self._beyond, float(beyond.max()), float(beyond.min()), key=abs)
+        drawn: Reals = self._curve.power(thrust).sum(axis=0)
+        return drawn
+
+    def result(self) -> float:
+        return math.nan if self._beyond else super().result()
+
+    def warning(self) -> str:
+        if not self._beyond or self._curve is None:
+            return ""
+        return f"has no value: a command asks for {self._beyond:.3g} N, and {self._curve}"
+
+
+class MeanPower(Energy):
+    """Energy divided by the duration of the window [W]"""
+
+    def result(self) -> float:
+        duration = self._time - self._start
+        return super().result() / duration if duration else math.nan
+
+
+class Statistic(Accumulator):
+    """The mean, least or largest of what `number` makes of two vectors."""
+
+    def __init__(self, stat: str = "mean"):
+        self._stat, self._sum, self._n = stat, 0.0, 0
+        self._least, self._largest = math.inf, -math.inf
+
+    @abstractmethod
+    def number(self, *vectors: Reals) -> Reals:
+        """(n,), of vectors (axes, n)."""
+
+    def update(self, time: Reals, *values: Reals) -> None:
+        numbers = self.number(*values)
+        self._sum += float(numbers.sum())
+        self._n += len(numbers)
+        self._least, self._largest = min(self._least, float(numbers.min())), max(self._largest, float(numbers.max()))
+
+    def result(self) -> float:
+        return {"mean": self._sum / self._n, "min": self._least, "max": self._largest}[self._stat]
+
+
+class Distance(Statistic):
+    """Euclidean distance between two points"""
+
+    def number(self, *vectors: Reals) -> Reals:
+        position, other = vectors
+        return distance(position.T, other.T)
+
+
+class HeadingDifference(Statistic):
+    """heading - other, in [0, 360) degrees"""
+
+    def number(self, *vectors: Reals) -> Reals:
+        heading, other = vectors
+        result: Reals = (heading - other)[0] * (180 / math.pi) % 360.0
+        result[result == 360.0] = 0.0  # the remainder of a difference just below zero rounds to 360
+        return result
+
+
+def on_circle(difference: Reals, turn: float) -> Reals:
+    """difference - turn round(difference / turn): the shortest way round, exact where that is the difference itself.
+
+    difference: (N,); turn: 2 pi, or 360, in its unit.  Returns (N,).
+    """
+    result: Reals = difference - turn * np.round(difference / turn)
+    return result
+
+
+def distance(position: Reals, other: Reals) -> Reals:
+    """Euclidean distance between two points.  position, other: (N, 3) in NED [m].  Returns (N,) [m]."""
+    difference = position - other
+    result: Reals = (difference * difference).sum(axis=1) ** 0.5
+    return result
+
+
+def settling_time(time: Reals, error: Reals, band: float) -> float:
+    """`SettlingTime` of samples that are all there.  time: (N,) [s]; error, band: in one unit.  In s."""
+    return _whole(SettlingTime(band), time, error)
+
+
+def overshoot(time: Reals, error: Reals) -> float:
+    """`Overshoot` of samples that are all there, (N,).  In percent."""
+    return _whole(Overshoot(), time, error)
+
+
+def _whole(metric: Accumulator, time: Reals, error: Reals) -> float:
+    metric.update(time, error)
+    return metric.result()
