@@ -1,6 +1,6 @@
 """Files spoiled at random are refused with an error message, or run; ORCH_FUZZ=10 tries 10 000 and 2 000 of them.
 
-A mutant that breaks a rule is tried again, alone, by `python tests/peers/mutants.py experiments --only NUMBER`; what
+A mutant that breaks a rule is tried again, alone, by `python tests/peers/mutants experiments --only NUMBER`; what
 it shows gets a test of its own below.
 """
 
@@ -24,7 +24,7 @@ def mutants(tmp_path, *arguments):
     """What the process says that tries them."""
     (tmp_path / "work").mkdir()
     (tmp_path / "tmp").mkdir()
-    command = [sys.executable, PEERS / "mutants.py", *map(str, arguments)]
+    command = [sys.executable, PEERS / "mutants", *map(str, arguments)]
     done = subprocess.run(
         command,
         cwd=tmp_path / "work",
