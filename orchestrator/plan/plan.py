@@ -184,7 +184,7 @@ class Plan:
         return tuple(
             (component, v)
             for component, v in self.recorded
-            if v.kind == "real" and not v.array
+            if v.kind == "real" and not v.shape
             if (
                 v.causality == "output" and v.feedthrough
                 if wanted is True

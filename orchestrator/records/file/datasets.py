@@ -12,6 +12,7 @@ import numpy as np
 
 from ...fmu.variables import DTYPES, Variable
 from ...plan.plan import Plan
+from .format import ENVELOPE
 from .hdf5 import attach_scales, create_attributes, create_dataset, image_of, list_references, new_in_memory
 
 CHUNK_ROWS = 1024
@@ -73,6 +74,22 @@ def datasets_of(plan: Plan) -> tuple[DatasetSpec, ...]:
     )
 
 
+def envelope_of(plan: Plan) -> tuple[DatasetSpec, ...]:
+    """The least and the largest values between rows that a run records, in the order of `Block.bounds`."""
+    return tuple(
+        DatasetSpec(
+            component=f"{ENVELOPE}/{component}",
+            name=variable.name,
+            kind="real",
+            shape=(2,),
+            units=variable.unit or "1",
+            long_name=f"least and largest value since the row before: {variable.description or variable.name}",
+            causality=variable.causality,
+        )
+        for component, variable in plan.bounded
+    )
+
+
 def _variables(plan: Plan) -> Iterator[tuple[str, Variable, tuple[int, ...]]]:
     """Component, first variable and shape of each dataset."""
     recorded = {(component, variable.name) for component, variable in plan.recorded}
@@ -93,6 +110,8 @@ def image(components: tuple[str, ...], specs: tuple[DatasetSpec, ...], rows: int
         create_attributes(time, {"units": TIME.units, "long_name": TIME.long_name})
         for component in components:
             file.create_group(component, track_order=True)
+        for envelope in dict.fromkeys(spec.component for spec in specs if spec.component not in components):
+            file.create_group(envelope, track_order=True)
         datasets = [_add(file[spec.component], spec, rows, time) for spec in specs]
         if datasets:
             list_references(time, datasets, axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 FORMAT = "orch-run"
 FORMAT_VERSION = 2  # 1: metrics were of the rows, and there was no envelope
 ID_LENGTH = 10  # hex digits of the digest that make a run id
+ENVELOPE = "_envelope"  # group of the least and the largest values between rows
 HEARD = "_heard"  # group of what live components received from outside
 # Attributes in JSON.
 JSON = (

@@ -19,7 +19,7 @@ from ...fmu.variables import DTYPES
 from ...plan.plan import Plan
 from ...simulation.observer import Block, Observer, Outcome
 from ...warning import kinds_of
-from .datasets import TIME, DatasetSpec, datasets_of, image
+from .datasets import TIME, DatasetSpec, datasets_of, envelope_of, image
 from .format import HEARD
 from .hdf5 import attach_scales, create_attributes, image_of, in_memory, overwrite_attributes, write_rows
 from .provenance import attributes_of
@@ -74,13 +74,14 @@ class Recorder(Observer):
         self.metrics: Mapping[str, float] = {}
         self._waiting: list[Block] = []
         self._rows, self._tick = 0, plan.first  # on disk, and of the last one of them
-        specs, self._most = datasets_of(plan), plan.steps // plan.stride + 1
-        with in_memory(image(tuple(component.name for component in plan.components), specs, self._most)) as file:
+        specs, self._envelope, self._most = datasets_of(plan), envelope_of(plan), plan.steps // plan.stride + 1
+        names = tuple(component.name for component in plan.components)
+        with in_memory(image(names, (*specs, *self._envelope), self._most)) as file:
             _describe(file, plan, attributes_of(plan, run_id, facts))
             content = image_of(file)
         self._reserved = ReservedFile(path, content)
         self._file = self._reserved.file
-        self._datasets = {s: h5py.h5d.open(self._file.id, s.path.encode()) for s in (TIME, *specs)}
+        self._datasets = {s: h5py.h5d.open(self._file.id, s.path.encode()) for s in (TIME, *specs, *self._envelope)}
         self._specs: dict[str, list[DatasetSpec]] = {}  # by kind, in the order of a block's columns
         for spec in specs:
             self._specs.setdefault(spec.kind, []).append(spec)
@@ -120,6 +121,10 @@ class Recorder(Observer):
                     rows_of = np.ascontiguousarray(values.T).reshape(-1, *spec.shape) if spec.shape else values[0]
                     write_rows(self._datasets[spec], first, rows_of)
                     column += spec.width
+            if self._envelope:
+                bounds = np.concatenate([block.bounds for block in blocks])
+                for i, spec in enumerate(self._envelope):
+                    write_rows(self._datasets[spec], first, np.ascontiguousarray(bounds[:, :, i]))
         times = self._plan.experiment.grid.times(ticks[0], ticks[-1] + 1)
         with self._reserved.writing(self._size([TIME], last)):
             write_rows(self._datasets[TIME], first, times[np.array(ticks) - ticks[0]])

@@ -18,7 +18,7 @@ from ...fmu.variables import ANGLE
 from ...names import split_axis
 from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
-from .format import HEARD, JSON
+from .format import ENVELOPE, HEARD, JSON
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -139,6 +139,16 @@ class Run:
             name, lambda file: file[component][variable].attrs.get("quantity") == ANGLE
         )
 
+    def envelope(self, name: str) -> Reals | None:
+        """(N, 2): the least and the largest value of a signal since the row before; None where it is not recorded."""
+
+        def values(file: h5py.File) -> Reals | None:
+            component, _, variable = name.partition(".")
+            dataset = file.get(f"{ENVELOPE}/{component}/{variable}")
+            return None if dataset is None else dataset[: self._length]
+
+        return self._get(f"the envelope of {name}", values)
+
     def fact(self, component: str, name: str) -> Any:
         """An attribute of a component, such as fmu_sha256 or packaging."""
         return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
@@ -221,7 +231,7 @@ class Run:
 
 
 def _signals(file: h5py.File) -> list[str]:
-    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group) and name != HEARD}
+    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group) and not name.startswith("_")}
     return [f"{component}.{variable}" for component, group in groups.items() for variable in _datasets(group)]
 
 
