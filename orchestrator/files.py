@@ -7,34 +7,45 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from .errors import OrchError, StoreError
+from .errors import StoreError
 
 
 def target(path: str | Path, what: str = "", suffixes: Sequence[str] = (), used: Iterable[str | Path] = ()) -> Path:
     """The file that a command will write, checked before the work begins.
 
     what: what the file is, such as "a figure".  suffixes: those allowed; none allows any.  used: other files that the
-    command reads or writes.  Raises OrchError for another suffix, StoreError where the file could not be written.
+    command reads or writes.  Raises StoreError where the name has another suffix, or the file could not be written.
     """
     path = Path(path)
+    try:
+        problem = _problem(path, what, suffixes, used)
+    except OSError as error:  # such as a name that is too long
+        problem = f"{path} cannot be written: {error.strerror}"
+    if problem:
+        raise StoreError(problem)
+    return path
+
+
+def _problem(path: Path, what: str, suffixes: Sequence[str], used: Iterable[str | Path]) -> str:
+    """Why a file is refused, or ""."""
     if path.is_dir():
-        raise StoreError(f"{path} is a folder; give the name of a file in it")
+        return f"{path} is a folder; give the name of a file in it"
     if suffixes and path.suffix.lower() not in suffixes:
         *others, last = suffixes
         listed = f"{', '.join(others)} or {last}" if others else last
-        raise OrchError(f"{path}: {what} is a {listed} file; let its name end in {'one of these' if others else last}")
+        return f"{path}: {what} is a {listed} file; let its name end in {'one of these' if others else last}"
     if path.resolve() in {Path(file).resolve() for file in used}:
-        raise StoreError(f"{path} is already used by this command; write to another file")
+        return f"{path} is already used by this command; write to another file"
     if path.exists() and not path.is_file():
-        return path  # a terminal, a pipe
+        return ""  # a terminal, a pipe
     folder = path.absolute().parent
     while not os.path.lexists(folder):
         folder = folder.parent
     if not folder.is_dir():
-        raise StoreError(f"{path} cannot be written: {short(folder)} is a file, not a folder; give another folder")
+        return f"{path} cannot be written: {short(folder)} is a file, not a folder; give another folder"
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise StoreError(f"{path} cannot be written: no permission to write into {short(folder)}; give another folder")
-    return path
+        return f"{path} cannot be written: no permission to write into {short(folder)}; give another folder"
+    return ""
 
 
 def short(path: Path) -> str:

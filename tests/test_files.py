@@ -15,7 +15,6 @@ FIGURE = "a figure is a .png, .pdf or .svg file; let its name end in one of thes
 PAGE = "a report is a .html or .htm file; let its name end in one of these"
 DIAGRAM = "a diagram is a .svg, .mmd or .md file; let its name end in one of these"
 EXPERIMENT = "an experiment is a .toml file; let its name end in .toml"
-SWEPT = ("--sweep", "last", "--results", "swept")
 # what `orch` is called with before the name of the file, and a suffix that fits
 TARGETS = [
     ("run mine.toml --force -o", ".h5"),
@@ -134,6 +133,12 @@ def test_a_folder_without_permission(refused, place, line, suffix):
     target = f"locked/new/target{suffix}"
     words = refused([*line.split(), target], before)
     assert words == f"{target} cannot be written: no permission to write into locked; give another folder\n"
+
+
+@pytest.mark.parametrize(("line", "suffix"), TARGETS)
+def test_a_name_that_is_too_long(refused, line, suffix):
+    target = f"{'n' * 300}{suffix}"
+    assert refused([*line.split(), target]) == f"{target} cannot be written: File name too long\n"
 
 
 @pytest.mark.parametrize(("line", "words"), SUFFIXES)

@@ -37,7 +37,7 @@ def draw(runs: Sequence[Run], target: Path, signals: Sequence[str] = ()) -> Path
 
     target: its suffix, png, pdf or svg, is the format.  signals: globs over recorded signals; none gives the overview
     of the vehicles or, where there is no vehicle, all signals.
-    Raises OrchError for another suffix, StoreError where there is nothing to draw or the file cannot be written.
+    Raises StoreError where there is nothing to draw, or the file has another suffix or cannot be written.
     """
     figures.target(target, [run.path for run in runs])
     for run in runs:
