@@ -77,6 +77,14 @@ def test_no_level_has_more_modules_than_one_sees_at_a_glance():
     assert not crowded
 
 
+@pytest.mark.parametrize("folder", ["orchestrator", "fmus"])
+def test_a_class_name_means_one_thing(folder):
+    trees = [ast.parse(path.read_bytes()) for path in sorted((ROOT / folder).rglob("*.py"))]
+    names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert len(names) > 20
+    assert not {name: count for name, count in names.items() if count > 1}
+
+
 def test_nothing_imports_the_models():
     """They are built in a process of their own; what runs them runs their FMUs."""
     models = {path.stem for path in (ROOT / "fmus").iterdir()} | {"fmus"}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .thrusters import Curve
+from .thrusters import PowerCurve
 
 if TYPE_CHECKING:
     from ..arrays import Reals
@@ -215,7 +215,7 @@ class Energy(Integral):
     ):
         super().__init__()
         self._max_power, self._max_thrust = max_power, max_thrust
-        self._curve = Curve(thruster, voltage) if max_power is None else None
+        self._curve = PowerCurve(thruster, voltage) if max_power is None else None
         self._beyond = 0.0  # largest thrust that the thruster does not give [N]
 
     def integrand(self, time: Reals, *values: Reals) -> Reals:

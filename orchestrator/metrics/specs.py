@@ -245,7 +245,7 @@ def _power_problem(spec: Mapping[str, Any]) -> tuple[str, str] | None:
     least, largest = thrusters.voltages(thruster)
     if not least <= voltage <= largest:
         return "voltage", f"is {voltage:g} V; the table of the {thruster} goes from {least:g} to {largest:g} V"
-    curve = thrusters.Curve(thruster, voltage)
+    curve = thrusters.PowerCurve(thruster, voltage)
     if not curve.gives(np.array([-thrust, thrust])).all():
         return "max_thrust", f"is {thrust:g} N, and {curve}"
     return None

@@ -16,7 +16,7 @@ TABLES = {"t200": "t200.csv"}  # {thruster: its table}, which names its source
 ROUNDING = 0.01  # of the largest thrust: beyond the table by so little is its last line
 
 
-class Curve:
+class PowerCurve:
     """Thrust and power of a thruster at a voltage, in still water, as arrays over pulse widths.
 
     Between the voltages of the table, both are interpolated at each pulse width.  voltage: V, within the table.

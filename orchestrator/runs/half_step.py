@@ -19,7 +19,7 @@ from ..simulation.bursts import Bursts
 from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
 from ..simulation.observer import Interrupt, Observer, Outcome
-from ..simulation.stability import Suspect, Verdict
+from ..simulation.stability import StabilityVerdict, Suspect
 from ..simulation.system import FmuSource, System
 from ..warning import Kind, Warned
 from .checkpoint.file import Checkpoint
@@ -48,11 +48,11 @@ def judge(plan: Plan, outcome: Outcome, bursts: Bursts, interrupt: Interrupt, so
         steps += shorter.steps
         if obstacle:
             break
-        unstable = {loop: fast for loop, fast in loops.items() if shorter.verdicts[loop] is Verdict.UNSTABLE}
+        unstable = {loop: fast for loop, fast in loops.items() if shorter.verdicts[loop] is StabilityVerdict.UNSTABLE}
         sampled, cost = _by_their_periods(plan, bursts, unstable, factor, interrupt, source)
         steps += cost
         found |= {loop: _unstable(plan, shorter, fast, sampled=loop in sampled) for loop, fast in unstable.items()}
-        loops = {loop: fast for loop, fast in loops.items() if shorter.verdicts[loop] is Verdict.LOCKED}
+        loops = {loop: fast for loop, fast in loops.items() if shorter.verdicts[loop] is StabilityVerdict.LOCKED}
         if not loops:
             break
     for loop, fast in loops.items():  # nothing has decided
@@ -78,7 +78,7 @@ class Shorter(Observer):
         fast = [suspect for suspects in loops.values() for suspect in suspects]
         self._ends = factor * stability.first_end(bursts, fast), factor * bursts.last
         self._enough = Interrupt()
-        self.verdicts: dict[int, Verdict] = {}
+        self.verdicts: dict[int, StabilityVerdict] = {}
         self.whole = self._exact = False  # whether all of the run was needed, and has been done
         self.steps = 0
 
@@ -113,7 +113,7 @@ class Shorter(Observer):
     def progress(self, tick: int) -> None:
         if tick == self._ends[0] < self._ends[1]:
             verdicts = {loop: stability.judge_first(fast, self.coarse, self.fine) for loop, fast in self._loops.items()}
-            if Verdict.OPEN not in verdicts.values():
+            if StabilityVerdict.OPEN not in verdicts.values():
                 self.verdicts = verdicts
         if self.verdicts or tick >= self._ends[1] or self._outside.is_set():
             self._enough.set()
@@ -163,7 +163,7 @@ def _by_their_periods(
     shorter = Shorter(plan, bursts, asked, factor, kept=True)
     if shorter.run(interrupt, source):
         return set(), shorter.steps
-    return {loop for loop in asked if shorter.verdicts[loop] is not Verdict.UNSTABLE}, shorter.steps
+    return {loop for loop in asked if shorter.verdicts[loop] is not StabilityVerdict.UNSTABLE}, shorter.steps
 
 
 def _unstable(plan: Plan, shorter: Shorter, fast: Sequence[Suspect], sampled: bool) -> Warned:

@@ -39,7 +39,7 @@ RHYTHM = 0.6  # of what is fast, within two lines of the strongest one
 SAME = 0.7  # ratio of two periods, or of two amplitudes, from which on they are the same
 
 
-class Verdict(Enum):
+class StabilityVerdict(Enum):
     """On a loop, from a comparison with a shorter step."""
 
     STEADY = "what is fast is so at the shorter step, too"
@@ -67,8 +67,8 @@ class Suspect:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A suspect at two steps.  change: of its rms, estimated; rhythm: at the shorter step; locked: see Verdict."""
+class StepComparison:
+    """A suspect at two steps.  change: estimated, of its rms; rhythm: at the shorter step; locked: as of a verdict."""
 
     change: float
     rhythm: float
@@ -110,7 +110,7 @@ def first_end(bursts: Bursts, found: Iterable[Suspect]) -> int:
     return end if 2 * (end - bursts.first) < bursts.last - bursts.first else bursts.last
 
 
-def compare(suspect: Suspect, coarse: Bursts, fine: Bursts, whole: bool) -> Comparison | None:
+def compare(suspect: Suspect, coarse: Bursts, fine: Bursts, whole: bool) -> StepComparison | None:
     """A suspect of a run in another with shorter steps; None where the other has too little of it.
 
     whole: in all bursts that both have, not only in the first.
@@ -139,32 +139,34 @@ def compare(suspect: Suspect, coarse: Bursts, fine: Bursts, whole: bool) -> Comp
         and SAME < steps_after / steps < 1 / SAME
         and not kept < SAME**2
     )
-    return Comparison(change, rhythm_after, locked)
+    return StepComparison(change, rhythm_after, locked)
 
 
-def judge_first(found: Sequence[Suspect], coarse: Bursts, fine: Bursts) -> Verdict:
+def judge_first(found: Sequence[Suspect], coarse: Bursts, fine: Bursts) -> StabilityVerdict:
     """On a loop, from the first bursts.  found: its suspects."""
     compared = [compare(suspect, coarse, fine, whole=False) for suspect in found]
     if any(c is None or not np.isfinite(c.change) for c in compared):
-        return Verdict.OPEN
+        return StabilityVerdict.OPEN
     changes = [c.change for c in compared if c]
     if min(changes) < -CERTAIN:
-        return Verdict.UNSTABLE
+        return StabilityVerdict.UNSTABLE
     if any(c.locked for c in compared if c) and max(map(abs, changes)) <= NONE:
-        return Verdict.LOCKED
+        return StabilityVerdict.LOCKED
     rhythmic = any(suspect.rhythm > RHYTHM for suspect in found)  # a limit cycle may still grow
-    return Verdict.OPEN if rhythmic or max(map(abs, changes)) > NONE else Verdict.STEADY
+    return StabilityVerdict.OPEN if rhythmic or max(map(abs, changes)) > NONE else StabilityVerdict.STEADY
 
 
-def judge_whole(found: Sequence[Suspect], coarse: Bursts, fine: Bursts, changes: Mapping[int, float]) -> Verdict:
+def judge_whole(
+    found: Sequence[Suspect], coarse: Bursts, fine: Bursts, changes: Mapping[int, float]
+) -> StabilityVerdict:
     """On a loop, from all of the run that both have done.  found: its suspects.  changes: see `changes_of`."""
     compared = [(suspect.output, compare(suspect, coarse, fine, whole=True)) for suspect in found]
     rhythmic = {output for output, c in compared if c and c.rhythm > RHYTHM}
     for output, change in changes.items():
         least = CHANGE if coarse.outputs[output].command else CHANGE_OF_STATE
         if change < -least or change > (least if output in rhythmic else CHANGE_OF_NOISE):
-            return Verdict.UNSTABLE
-    return Verdict.LOCKED if any(c.locked for _, c in compared if c) else Verdict.STEADY
+            return StabilityVerdict.UNSTABLE
+    return StabilityVerdict.LOCKED if any(c.locked for _, c in compared if c) else StabilityVerdict.STEADY
 
 
 def changes_of(found: Sequence[Suspect], coarse: Bursts, fine: Bursts, whole: bool, exact: bool) -> dict[int, float]:

@@ -53,7 +53,7 @@ class Scalar:
     quantity: str = ""  # "angle", whose differences are on the circle
 
 
-class Variable:
+class Declaration:
     """A declared variable of one or more axes; `shape` () is a scalar, (n,) a vector, (n, m) a matrix."""
 
     group: str
@@ -98,19 +98,19 @@ class Variable:
         return [f"[{i + 1}]" for i in range(self.size)] if self.shape else [""]
 
 
-class Input(Variable):
+class Input(Declaration):
     """What the model reads; its start value is used where nothing is connected."""
 
     group, causality = "input", "input"
 
 
-class Output(Variable):
+class Output(Declaration):
     """What the model computes for others: a function of states and inputs."""
 
     group, causality = "output", "output"
 
 
-class State(Variable):
+class State(Declaration):
     """What the model keeps from step to step; `output=True` makes it an output as well."""
 
     group = "state"
@@ -120,7 +120,7 @@ class State(Variable):
         self.causality = "output" if output else "local"
 
 
-class Parameter(Variable):
+class Parameter(Declaration):
     """A number set before the run.  `default`: a number, True or False, or a sequence; `unit`: one, or one an axis.
 
     A sequence is a vector over `axes`, or numbered `name[1]`, `name[2]`, ... without them; a number with `axes`
@@ -143,7 +143,7 @@ class Parameter(Variable):
         super().__init__(Signal(axes, unit, meaning, limits), default, shape, kind)
 
 
-class Calculated(Variable):
+class Calculated(Declaration):
     """A number or matrix computed from the parameters by `calculate`: FMI's calculatedParameter."""
 
     group, causality = "calculated", "calculatedParameter"
@@ -161,7 +161,7 @@ class Group:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
-    def variables(self) -> Iterator[Variable]:
+    def variables(self) -> Iterator[Declaration]:
         for variable in _declarations(self.declarations):
             member = copy.copy(variable)
             member.name = f"{self.name}.{variable.name}"
@@ -175,7 +175,7 @@ class Layout:
         declared = _declarations(model)
         self.places: dict[str, slice] = {}
         self.groups: dict[str, slice] = {}
-        self.variables: list[Variable] = []
+        self.variables: list[Declaration] = []
         self.scalars: list[Scalar] = []
         place = FIRST
         for group in GROUPS:
@@ -192,7 +192,7 @@ class Layout:
         """The memory before initialization: every declared start value."""
         return [0.0] * FIRST + [scalar.start for scalar in self.scalars]
 
-    def of(self, group: str) -> list[Variable]:
+    def of(self, group: str) -> list[Declaration]:
         return [v for v in self.variables if v.group == group]
 
 
@@ -217,12 +217,12 @@ class Declared(ABC):  # noqa: B024 - the two styles, Model and PythonModel, have
         return cls._layout  # type: ignore[attr-defined,no-any-return]
 
 
-def _declarations(model: type) -> list[Variable]:
+def _declarations(model: type) -> list[Declaration]:
     """Declared variables, base classes first, in the order of the source."""
-    declared: dict[str, Variable] = {}
+    declared: dict[str, Declaration] = {}
     for cls in reversed(model.__mro__):
         for name, value in vars(cls).items():
-            if isinstance(value, Variable):
+            if isinstance(value, Declaration):
                 declared[name] = value
             elif isinstance(value, Group):
                 declared |= {variable.name: variable for variable in value.variables()}

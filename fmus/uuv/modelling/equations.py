@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from .declare import Declared, Layout, Variable, assign
+from .declare import Declaration, Declared, Layout, assign
 
 
 class Model(Declared):
@@ -126,7 +126,7 @@ def _shaped(column: Any, shape: tuple[int, ...]) -> Any:
     return ca.reshape(column, *shape) if len(shape) == 2 else column
 
 
-def _result(variable: Variable, results: Mapping[str, Any]) -> Any:
+def _result(variable: Declaration, results: Mapping[str, Any]) -> Any:
     import casadi as ca
 
     if variable.name not in results:
