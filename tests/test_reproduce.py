@@ -465,7 +465,7 @@ def command(name, code, cost=1.0):
 
 def test_commands_start_with_the_longest_and_a_crash_ends_no_other():
     watched = []
-    crash = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
+    crash = "import os, signal, sys; print('well', file=sys.stderr, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
     commands = [
         command("short", "print('out')", 1),
         command("crash", crash, 5),
@@ -473,7 +473,7 @@ def test_commands_start_with_the_longest_and_a_crash_ends_no_other():
     ]
     results = processes.run_all(commands, lambda running, result: watched.append((list(running), result)), at_once=1)
     assert [(r.command.name, r.code) for r in results] == [("long", 1), ("crash", -signal.SIGKILL), ("short", 0)]
-    assert [r.reason for r in results[:2]] == ["why", "the process ended with exit code -9"]
+    assert [r.reason for r in results[:2]] == ["why", "the process ended with exit code -9; it last printed: well"]
     assert results[2].stdout.strip() == "out"
     assert watched[0][0] == ["long"]
 

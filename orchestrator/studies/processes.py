@@ -54,7 +54,11 @@ class ChildResult:
         try:
             return str(json.loads(self.stdout)["error"])
         except (ValueError, KeyError, TypeError):
-            return self.stderr.strip() or f"the process ended with exit code {self.code}"
+            text = self.stderr.strip()
+            ended = f"the process ended with exit code {self.code}"
+            if self.code < 0:  # a crash: what it printed before need not be about that
+                return f"{ended}; it last printed: {text.splitlines()[-1]}" if text else ended
+            return text or ended
 
 
 @dataclass
