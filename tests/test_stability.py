@@ -195,6 +195,14 @@ def test_an_interrupted_run_says_that_it_oscillates_and_is_not_compared(loop, wr
     assert "could not be compared with one at half the step, because it was interrupted" in warning
 
 
+def test_an_interruption_during_the_comparison_leaves_the_run_completed(loop, write, tmp_path):
+    result = execute(prepare(write(loop(gain=1.5))), tmp_path / "record.h5", observers=[InterruptAt(500)])
+    assert result.status == "completed"
+    (warning,) = result.warnings
+    assert warning.kind == "unchecked"
+    assert "because the comparison was interrupted" in warning
+
+
 def test_an_fmu_that_takes_no_other_step_leaves_the_cause_open(loop, warnings):
     (warning,) = warnings(loop(gain=1.5, only=STEP))
     assert warning.kind == "unchecked"
@@ -217,7 +225,9 @@ def test_mfsosmc_held_over_a_millisecond_is_reported_and_pid_is_not(orch, spiral
     assert record.is_wrong
     shown = " ".join(orch("show", "last").out.split())
     assert "warning: controller.tau" in shown
-    assert "shorter steps afterwards: " in shown
+    assert "compared with" in answer.out
+    for text in (answer.out, shown):
+        assert "shorter steps afterwards, in " in text
 
 
 def test_a_saturated_limit_cycle_of_ten_steps_under_jacobi_is_reported(orch, spiral, write):

@@ -50,6 +50,7 @@ class RunResult:
     added: Sequence[str] = ()  # metrics for which a completed record was repeated, as it did not have them
     checkpoints: Sequence[Path] = ()
     last_inputs: Mapping[str, Any] = field(default_factory=dict)  # of the component that failed
+    timing: Mapping[str, Any] = field(default_factory=dict)  # as the record has it
 
 
 def run(
@@ -140,6 +141,7 @@ def execute(
         added=added,
         checkpoints=saver.saved,
         last_inputs=outcome.last_inputs,
+        timing=outcome.timing,
     )
 
 
@@ -177,6 +179,7 @@ def _recall(run_id: str, path: Path, plan: Plan) -> RunResult:
             error=attributes["error"],
             stopped_at=attributes.get("stopped_at"),
             repeated=False,
+            timing=attributes["timing"],
         )
 
 

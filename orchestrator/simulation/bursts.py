@@ -21,7 +21,7 @@ from .system import System
 
 LENGTH = 256  # steps of a burst: four periods of the slowest oscillation that is looked for, see stability.LONGEST
 FEWEST = 32  # bursts of a long run, about
-MEMORY = 1 << 24  # bytes that all bursts may take
+MEMORY = 1 << 26  # bytes that all bursts may take
 
 
 class ClockProgram(NamedTuple):

@@ -43,6 +43,8 @@ def result(result: RunResult, plan: Plan) -> str:
         f"  wall time         {result.wall_time:.4g} s",
         f"  real-time factor  {result.real_time_factor:.4g}",
     ]
+    if comparison := result.timing.get("comparison"):
+        lines.append(f"  compared with     {_comparison(comparison)}")
     lines += [f"  from              {plan.origin}"] if plan.origin else []
     lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
@@ -118,8 +120,13 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
             f"{worst:.3g} ms at worst, {end:.3g} ms at the end"
         )
     if comparison := timing.get("comparison"):
-        lines.append(f"  compared with {comparison['steps']} shorter steps afterwards: {comparison['seconds']:.3g} s")
+        lines.append(f"  compared with {_comparison(comparison)}")
     return lines
+
+
+def _comparison(comparison: Mapping[str, Any]) -> str:
+    """What judging the feedback loops took, after the run."""
+    return f"{comparison['steps']} shorter steps afterwards, in {comparison['seconds']:.3g} s"
 
 
 def _share(part: float, whole: float) -> str:
