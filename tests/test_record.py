@@ -49,7 +49,17 @@ ATTRIBUTES = {
     "hostname": str,
     "digest": str,
 }
-JSON = ("experiment_resolved", "versions", "metrics", "warnings", "warning_kinds", "timing", "command")
+JSON = (
+    "experiment_resolved",
+    "versions",
+    "metrics",
+    "metrics_never",
+    "metric_units",
+    "warnings",
+    "warning_kinds",
+    "timing",
+    "command",
+)
 TYPES = {
     "y": np.float64,
     "u": np.float64,
@@ -202,7 +212,7 @@ def test_signals_say_their_unit_and_meaning(recorded, spiral):
         assert file["vehicle"]["eta.phi"].attrs["long_name"] == "phi: position in NED and zyx Euler angles"
         assert file["vehicle"]["eta.phi"].attrs["causality"] == "output"
         assert file["allocation"]["u.T1"].attrs["units"] == "1"
-        assert [name for name in file] == ["time", *spiral["components"]]  # noqa: C416 - in the file's order
+        assert [name for name in file] == ["time", *spiral["components"], "_envelope"]  # noqa: C416 - in the file's order
 
 
 def test_numbers_carry_checksums_and_a_flipped_byte_is_noticed(recorded, spiral):

@@ -445,7 +445,8 @@ def test_the_page_says_what_ran(written, gripping_run):
         assert facts[name] in seen
     assert facts["versions"]["numpy"] in seen
     for name, value in gripping_run.metrics.items():
-        assert re.search(rf"{name}\s+{re.escape(f'{value:.6g}')}\s", seen)
+        words = "never" if np.isinf(value) else f"{value:.6g}"
+        assert re.search(rf"{name}\s+{re.escape(words)}\s", seen)
 
 
 def test_metrics_of_several_runs_stand_beside_each_other(written, spiral_run, other_run):
