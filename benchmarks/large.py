@@ -25,7 +25,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import machine
 
@@ -169,17 +168,15 @@ def _measure_here(file: Path, began: float, packaging: str) -> None:
     from orchestrator.records.file.run import Run
     from orchestrator.runs import runner
     from orchestrator.runs.prepare import prepare
+    from orchestrator.simulation.observer import Block, Observer
 
-    class FirstRow:
-        """Notes when the initial values are there."""
+    class FirstRow(Observer):
+        """Notes when the initial values exist."""
 
         at: float | None = None
 
-        def rows(self, block: Any) -> None:
+        def rows(self, block: Block) -> None:
             self.at = self.at or time.monotonic()
-
-        def progress(self, tick: int) -> None:
-            pass
 
     first_row = FirstRow()
     try:

@@ -221,11 +221,11 @@ def report(study: ConvergenceStudy) -> str:
         order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
         error = terminal.tied(f"{metric.error:.2g} {metric.unit}".strip())
         rows.append([metric.name, *values, order, error, "" if metric.converged(study.own) else "not converged"])
-    note = (
-        f"* the experiment's own step; errors are estimates, {TOLERANCE:.0%} of the metric is allowed, "
-        "or a millionth of the quantity"
-    )
-    lines = [*terminal.table(rows), "", note, *(f"warning: {warning}" for warning in study.warnings)]
+    notes = [
+        "* the experiment's own step; errors are estimates,",
+        f"  {TOLERANCE:.0%} of the metric is allowed, or a millionth of the quantity",
+    ]
+    lines = [*terminal.table(rows), "", *notes, *(f"warning: {warning}" for warning in study.warnings)]
     verdict = "converged" if study.converged else "NOT converged"
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
 
