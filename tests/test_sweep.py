@@ -1,6 +1,7 @@
 """Sweeps: the design, the runs on Dask's processes, what resuming finds, and the statistics."""
 
 import contextlib
+import csv
 import json
 import os
 import re
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas
 import pytest
 from scipy import stats
 
@@ -21,6 +23,7 @@ from commands import DEADLINE, ORCH
 from orchestrator.errors import ExperimentError
 from orchestrator.experiment.sweep import read
 from orchestrator.studies.sweep.design.matrix import points
+from orchestrator.studies.sweep.engine.table import read as read_table
 
 FMU = "components.controller.fmu"
 FAST = "components.current.parameters.velocity"
@@ -224,6 +227,66 @@ def test_a_sweep_is_ordinary_runs_and_is_not_repeated(orch, sweep, write, tmp_pa
     again = orch("sweep", path, "--json").json
     assert (again["sweep_id"], again["reused"]) == (done["sweep_id"], 6)
     assert Path(again["table"]).read_text().splitlines() == lines
+
+
+def test_the_table_tells_never_no_value_and_no_sample_apart(orch, sweep, write, tmp_path):
+    sweep["sweep"] |= {"draws": 1, "vary": {FMU: ["pid", "mfsosmc"]}}
+    power = {"of": "mean_power", "signal": "allocation.u", "max_power": 390.0}
+    sweep["metrics"] |= {
+        "never": {"of": "settling_time", "signal": "vehicle.eta.x", "band": 1e-9},
+        "no_value": {**power, "after": 0.05},  # of one sample
+        "no_sample": {**power, "after": 7.0},
+        "between": {**power, "after": 0.011, "before": 0.019, "every": 0.01},
+    }
+    path = write(sweep)
+    done = orch("sweep", path, "--json").json
+    content = Path(done["table"]).read_bytes()
+    for row in csv.DictReader(content.decode().splitlines()):
+        assert [row[name] for name in ("never", "no_value", "no_sample", "between")] == ["inf", "nan", "", ""]
+    frame = pandas.read_csv(done["table"], dtype={"run_id": str})
+    kept = orchestrator.open_run(frame["run_id"][0], tmp_path / "results").metrics
+    assert (frame["never"] == np.inf).all()
+    assert frame["no_value"].isna().all()
+    assert frame["rms_T1"][0] == kept["rms_T1"]
+    assert kept["never"] == np.inf
+    table = read_table(str(tmp_path / "results"), Path(done["folder"]).name)
+    assert table.unsampled == {(run, name) for run in "01" for name in ("no_sample", "between")}
+    assert [row["rms_T1"] for row in table.rows] == frame["rms_T1"].tolist()
+    assert [row["never"] for row in table.rows] == [np.inf, np.inf]
+    assert np.isnan([row["no_value"] for row in table.rows]).all()
+    # The same from the records alone, and in every other text.
+    Path(done["table"]).unlink()
+    again = orch("sweep", path, "--json").json
+    assert again["reused"] == 2
+    assert Path(again["table"]).read_bytes() == content
+    note = "no sample falls into the window of between, no_sample in 2 runs"
+    assert note in orch("compare", "--sweep", "last", "--json").json["notes"]
+    shown = [line.split() for line in orch("show", frame["run_id"][0]).out.splitlines()]
+    assert ["never", "never", "s"] in shown
+    assert ["no_value", "no", "value", "W"] in shown
+    assert ["between", "no", "sample", "in", "its", "window", "W"] in shown
+
+
+def test_a_record_whose_metrics_are_of_its_rows_is_run_again(orch, sweep, write):
+    sweep["sweep"] |= {"draws": 1, "vary": {FMU: ["pid", "mfsosmc"]}}
+    path = write(sweep)
+    done = orch("sweep", path, "--json").json
+    for record in Path(done["folder"]).glob("*.h5"):  # as the first format has them
+        with h5py.File(record, "r+") as file:
+            del file.attrs["metrics_of"]
+            file.attrs["metrics"] = json.dumps({"rmse_x": 0.0, "rms_T1": 0.0})
+    content = Path(done["table"]).read_bytes()
+    again = orch("sweep", path, "--json").json
+    assert again["reused"] == 0
+    assert Path(again["table"]).read_bytes() == content
+
+
+@pytest.mark.parametrize("name", ["run", "draw", "run_id", "status", "error", FMU])
+def test_a_metric_named_like_another_column_of_the_table_is_refused(orch, sweep, write, name):
+    sweep["metrics"][name] = sweep["metrics"]["rms_T1"]
+    answer = orch("sweep", write(sweep), "--dry-run")
+    assert answer.code == 2
+    assert f"metrics.{name}: is the name of another column" in answer.err
 
 
 @pytest.mark.slow

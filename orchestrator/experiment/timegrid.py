@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import bisect
+import math
+from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +35,13 @@ class TimeGrid:
     def time(self, k: int) -> float:
         """k * step [s], rounded once."""
         return k * self._exact.numerator / self._exact.denominator
+
+    def has_sample(self, spec: Mapping[str, Any], first: int, last: int) -> bool:
+        """Whether one of the ticks from `first` to `last` is a sample of a metric.  spec: its entry in [metrics]."""
+        every = (self.ticks(spec["every"]) or 1) if "every" in spec else 1
+        tick = first + bisect.bisect_left(range(first, last + 1), spec.get("after", 0.0), key=self.time)
+        tick += -tick % every
+        return tick <= last and self.time(tick) <= spec.get("before", math.inf)
 
     def times(self, first: int, last: int) -> Reals:
         """`time` of the ticks from `first` until before `last`, (last - first,)."""

@@ -41,10 +41,9 @@ class TuneSpec:
     held_out: int
     spaces: Mapping[str, Space]
 
-    def value(self, metrics: Mapping[str, float | None]) -> float:
-        """The objective of a run; nan where a metric has no number."""
-        weighted = ((weight, metrics.get(name)) for name, weight in self.objective.items())
-        return sum(weight * (math.nan if number is None else number) for weight, number in weighted)
+    def value(self, metrics: Mapping[str, float]) -> float:
+        """The objective of a run; no finite number where a metric has none."""
+        return sum(weight * metrics.get(name, math.nan) for name, weight in self.objective.items())
 
 
 def read(sweep: Mapping[str, Any], metrics: Mapping[str, Any]) -> tuple[TuneSpec, list[Problem]]:

@@ -4,7 +4,7 @@
 """
 
 from .accumulators import distance, overshoot, settling_time
-from .specs import METRICS, STATISTICS, Meter, finite, problems, signals_of, smaller_is_better, unit_of
+from .specs import METRICS, STATISTICS, Meter, finite, problems, signals_of, smaller_is_better, text, unit_of
 
 __all__ = [
     "METRICS",
@@ -17,5 +17,6 @@ __all__ = [
     "settling_time",
     "signals_of",
     "smaller_is_better",
+    "text",
     "unit_of",
 ]

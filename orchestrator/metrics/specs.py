@@ -143,6 +143,13 @@ def finite(metrics: Mapping[str, float]) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in metrics.items()}
 
 
+def text(value: float) -> str:
+    """A metric that has a sample, for a person: "never" where what it is the time of does not happen."""
+    if math.isfinite(value):
+        return f"{value:.6g}"
+    return "no value" if math.isnan(value) else "never"
+
+
 def unit_of(spec: Mapping[str, Any], units: Mapping[str, str]) -> str:
     """The unit of a metric.  units: {signal: unit}."""
     unit = spec.get("unit") or units.get(spec["signal"], "")

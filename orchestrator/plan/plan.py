@@ -137,10 +137,14 @@ class Plan:
     def cautions(self) -> list[str]:
         """Sentences on what is allowed and hardly meant: its warnings, and metrics that would stay empty."""
         begin, end = self.first * self.experiment.master.step, self.experiment.master.stop_time
-        windows = {name: (m.get("after", begin), m.get("before", end)) for name, m in self.experiment.metrics.items()}
-        outside = [name for name, (after, before) in windows.items() if after > end or before < begin]
+        outside = [name for name in self.experiment.metrics if not self.has_sample(name)]
         empty = f"no sample falls into the window of {', '.join(outside)}: the run goes from {begin:g} to {end:g} s"
         return [*self.warnings, *([empty] if outside else [])]
+
+    def has_sample(self, metric: str, last: int | None = None) -> bool:
+        """Whether a sample falls into the window of a metric.  last: the tick at which the run ended, if early."""
+        last = self.steps if last is None else last
+        return self.experiment.grid.has_sample(self.experiment.metrics[metric], self.first, last)
 
     @property
     def first(self) -> int:

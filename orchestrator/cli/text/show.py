@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,13 +47,11 @@ def result(result: RunResult, plan: Plan) -> str:
     lines += [f"  from              {plan.origin}"] if plan.origin else []
     lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
-        shown = _metrics(result.metrics, plan.experiment.metrics, plan.units)
+        last = None if result.stopped_at is None else round(result.stopped_at / plan.experiment.master.step)
+        unsampled = {name for name in result.metrics if not plan.has_sample(name, last)}
+        shown = _metrics(result.metrics, plan.experiment.metrics, plan.units, unsampled)
         lines += ["  metrics", *table(shown, 4, title=False)]
     return "\n".join(lines)
-
-
-def _why_not(value: float) -> str:
-    return "no sample in its window" if math.isnan(value) else "never"
 
 
 def record(run: Run) -> str:
@@ -82,8 +79,8 @@ def record(run: Run) -> str:
         rest="--json",
     )
     if run.metrics:
-        specs = facts["experiment_resolved"]["metrics"]
-        lines += ["", "  metrics", *table(_metrics(run.metrics, specs, run.metric_units), 4, title=False)]
+        shown = _metrics(run.metrics, facts["experiment_resolved"]["metrics"], run.metric_units, run.unsampled)
+        lines += ["", "  metrics", *table(shown, 4, title=False)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
     lines += [f"warning: {warning}" for warning in run.warnings]
@@ -140,12 +137,15 @@ def record_as_json(run: Run) -> dict[str, Any]:
 
 
 def _metrics(
-    values: Mapping[str, float], specs: Mapping[str, Mapping[str, Any]], units: Mapping[str, str]
+    values: Mapping[str, float],
+    specs: Mapping[str, Mapping[str, Any]],
+    units: Mapping[str, str],
+    unsampled: Container[str],
 ) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for name, value in values.items():
         unit = metrics.unit_of(specs[name], units)
-        shown = f"{value:.6g}" if math.isfinite(value) else _why_not(value)
+        shown = "no sample in its window" if name in unsampled else metrics.text(value)
         rows.append((name, shown, "" if unit == "1" else unit))
     return rows
 

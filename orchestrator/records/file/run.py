@@ -14,6 +14,7 @@ import numpy as np
 
 from ... import warning
 from ...errors import StoreError, did_you_mean
+from ...experiment.timegrid import TimeGrid
 from ...fmu.variables import ANGLE
 from ...names import split_axis
 from ...warning import Warned
@@ -191,6 +192,15 @@ class Run:
         attributes = self.attributes
         missing = dict.fromkeys(attributes.get("metrics_never", ()), math.inf)
         return {name: missing.get(name, math.nan) if v is None else v for name, v in attributes["metrics"].items()}
+
+    @property
+    def unsampled(self) -> set[str]:
+        """The metrics into whose windows no step of the run falls."""
+        facts = self.attributes
+        grid, specs = TimeGrid(facts["step"]), self.resolved.get("metrics", {})
+        end = facts.get("stopped_at", facts.get("failed_at", self.resolved["master"]["stop_time"])) if specs else 0.0
+        first, last = (round(time / facts["step"]) for time in (facts.get("from_time", 0.0), end))
+        return {name for name in self.metrics if name in specs and not grid.has_sample(specs[name], first, last)}
 
     @property
     def metrics_of(self) -> str:

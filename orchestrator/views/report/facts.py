@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ... import metrics
@@ -73,21 +72,19 @@ def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
     specs: dict[str, Mapping[str, Any]] = {}
     for run in runs:
         specs |= run.attributes["experiment_resolved"].get("metrics", {})
-    values = [run.metrics for run in runs]
+    values = [_texts(run.metrics, run.unsampled) for run in runs]
     units = {name: unit for run in reversed(runs) for name, unit in run.metric_units.items()}
     rows = []
     for name in (name for name in specs if any(name in v for v in values)):
         unit = metrics.unit_of(specs[name], units)
-        shown = [_number(v[name]) if name in v else "" for v in values]
+        shown = [v.get(name, "") for v in values]
         rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[name])])
     heads = ["metric", *(labels if len(runs) > 1 else ["value"]), "unit", "of"]
     return {"heads": heads, "rows": rows, "words": (0, len(heads) - 2, len(heads) - 1)}
 
 
-def _number(value: float) -> str:
-    if math.isnan(value):
-        return "no sample"
-    return f"{value:.6g}" if math.isfinite(value) else "never"
+def _texts(values: Mapping[str, float], unsampled: Container[str]) -> dict[str, str]:
+    return {name: "no sample" if name in unsampled else metrics.text(value) for name, value in values.items()}
 
 
 def _meaning(spec: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from .matrix import DesignPoint, cells_of, labels
 
 FORMAT = "orch-sweep"
 ID_LENGTH = 10
+COLUMNS = ("run", "draw", "run_id", "status", "error")  # of the table, beside what varies and the metrics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +137,9 @@ def prepare_as(experiment: Experiment, spec: SweepSpec, packaging: str, report: 
     problems += _overruled(spec, experiment)
     if not experiment.metrics:
         problems.append(Problem("metrics", "the experiment has none; a sweep is judged by its metrics"))
+    taken = {*COLUMNS, *(key for keys, _ in spec.lists for key in keys), *spec.distributions}
+    words = "is the name of another column of the sweep's table; give the metric another name"
+    problems += [Problem(f"metrics.{name}", words) for name in experiment.metrics if name in taken]
     if problems or any(p.key.startswith("sweep") for p in experiment.problems):
         raise ExperimentError(experiment.path, [*experiment.problems, *problems])
     plans = _plans(experiment, spec, packaging, report)

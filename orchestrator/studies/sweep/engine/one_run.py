@@ -60,12 +60,11 @@ def _divides(n: int, rows: int) -> bool:
     return rows % n == 0 and rows // n <= DECIMATED
 
 
-def rows_of(plan: Plan, keep: str, stopped_at: float | None) -> int:
-    """How many rows a complete record has.  stopped_at: when an FMU ended the run [s], None where none did."""
-    if keep == "metrics":
-        return 0
-    kept = reduced(plan, keep)
-    ticks = plan.steps
-    if stopped_at is not None:
-        ticks = round(stopped_at / plan.experiment.master.step)
-    return ticks // kept.stride + 1
+def last_tick(plan: Plan, stopped_at: float | None) -> int:
+    """The tick at which a complete run ended.  stopped_at: when an FMU ended it [s], None where none did."""
+    return plan.steps if stopped_at is None else round(stopped_at / plan.experiment.master.step)
+
+
+def rows_of(plan: Plan, keep: str, last: int) -> int:
+    """How many rows a complete record has.  last: the tick at which the run ended."""
+    return 0 if keep == "metrics" else last // reduced(plan, keep).stride + 1

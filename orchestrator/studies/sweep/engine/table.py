@@ -21,7 +21,11 @@ DESCRIPTION, TABLE = "sweep.json", "table.csv"
 
 
 def text(points: Sequence[DesignPoint], results: Mapping[int, PointResult], metrics: Sequence[str]) -> str:
-    """The table as CSV.  Numbers read back to the same bits; where there is none, the cell is empty."""
+    """The table as CSV.
+
+    Numbers read back to the same bits.  inf: what the metric is the time of never happens; nan: it has no value; an
+    empty cell: it has no sample, or the run has no metrics.
+    """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     keys = list(points[0].cells)
@@ -47,7 +51,8 @@ class SweepTable:
     """The table of a sweep, read.
 
     keys: what varied; labels: {key: short name}; groups: the keys that had lists, in groups of those that change
-    together; rows: one a run: its cells as text, numbers of metrics under their names.
+    together; rows: one a run: its cells as text, numbers of metrics under their names, nan for an empty cell.
+    unsampled: (run, metric) of the empty cells of completed runs.
     """
 
     sweep_id: str
@@ -56,6 +61,7 @@ class SweepTable:
     description: Mapping[str, Any]
     columns: list[Column]
     rows: list[dict[str, Any]]
+    unsampled: frozenset[tuple[str, str]]
 
     @property
     def keys(self) -> list[str]:
@@ -106,6 +112,12 @@ def read(results: str, folder: str) -> SweepTable:
             raise ValueError(f"its format is not {FORMAT}")
         columns = [Column(**metric) for metric in description["metrics"]]
         rows: list[dict[str, Any]] = list(csv.DictReader(io.StringIO(storage.read(TABLE).decode())))
+        unsampled = frozenset(
+            (row["run"], column.name)
+            for row in rows
+            for column in columns
+            if row["status"] == COMPLETED and not row[column.name]
+        )
         for row in rows:
             row["draw"] = int(row["draw"])
             row |= {column.name: float(row[column.name] or math.nan) for column in columns}
@@ -118,4 +130,5 @@ def read(results: str, folder: str) -> SweepTable:
         description=description,
         columns=columns,
         rows=rows,
+        unsampled=unsampled,
     )

@@ -15,7 +15,6 @@ from typing import Any
 import h5py
 
 from ....errors import OrchError
-from ....metrics import finite
 from ....plan.plan import Plan
 from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
@@ -26,7 +25,7 @@ from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache
 from .fmu_cache import FmuCache
-from .one_run import perform, rows_of
+from .one_run import last_tick, perform, rows_of
 from .storage import Storage
 
 COMPLETED, FAILED, MISSING = "completed", "failed", "missing"
@@ -34,13 +33,17 @@ COMPLETED, FAILED, MISSING = "completed", "failed", "missing"
 
 @dataclass(frozen=True)
 class PointResult:
-    """How one run of a sweep ended.  seconds: of wall time; fresh: False where its record existed."""
+    """How one run of a sweep ended.
+
+    metrics: those that have a sample, inf where what one is the time of never happens, nan where one has no value.
+    seconds: of wall time; fresh: False where its record existed.
+    """
 
     index: int
     run_id: str = ""
     status: str = MISSING
     error: str = ""
-    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     fresh: bool = True
 
@@ -94,7 +97,8 @@ def _run(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage, i
         record = perform(plan, path, job.keep, known, interrupt, cache)
         if record.outcome.status != "interrupted":
             storage.put(path, name)
-    return PointResult(point.index, run_id, record.outcome.status, record.outcome.error, finite(record.metrics))
+    metrics = _sampled(plan, record.metrics, record.outcome.ticks)
+    return PointResult(point.index, run_id, record.outcome.status, record.outcome.error, metrics)
 
 
 def plan_of(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage) -> Plan:
@@ -108,7 +112,12 @@ def plan_of(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage
     return replace(plan, experiment=experiment, components=components)
 
 
-def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float | None] | None:
+def _sampled(plan: Plan, metrics: Mapping[str, float], last: int) -> dict[str, float]:
+    """Those metrics that have a sample.  last: the tick at which the run ended."""
+    return {name: value for name, value in metrics.items() if plan.has_sample(name, last)}
+
+
+def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float] | None:
     """The metrics of a record that is complete, of this very run, and with these metrics and rows; else None.
 
     All rows are read, so that HDF5 verifies their checksums.
@@ -120,14 +129,17 @@ def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[s
                 return None
             if json.loads(facts["experiment_resolved"])["metrics"] != _as_json(plan.resolved["metrics"]):
                 return None
-            rows = len(file["time"])
-            if rows != rows_of(plan, keep, facts.get("stopped_at")):
+            rows, last = len(file["time"]), last_tick(plan, facts.get("stopped_at"))
+            if rows != rows_of(plan, keep, last):
                 return None
-            ends = [name.partition(".")[::2] for name in Run(Path(name), file).signals]
+            record = Run(Path(name), file)
+            if record.metrics_of != "steps":
+                return None
+            ends = [name.partition(".")[::2] for name in record.signals]
             if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
                 return None
-            metrics: dict[str, float | None] = json.loads(facts["metrics"])
-            return metrics if set(metrics) == set(plan.experiment.metrics) else None
+            metrics = record.metrics
+            return _sampled(plan, metrics, last) if set(metrics) == set(plan.experiment.metrics) else None
     except UNREADABLE:
         return None
 

@@ -254,6 +254,9 @@ def _corrected(pairs: Sequence[PairComparison]) -> list[PairComparison]:
 def _notes(failures: dict[str, int], table: SweepTable) -> list[str]:
     missing = sum(row["status"] == "missing" for row in table.rows)
     notes = [f"{missing} of {len(table.rows)} runs are missing: run the sweep again to complete it"] if missing else []
+    if table.unsampled:
+        empty = ", ".join(sorted({metric for _, metric in table.unsampled}))
+        notes.append(f"no sample falls into the window of {empty} in {len({run for run, _ in table.unsampled})} runs")
     if counts := ", ".join(f"{name} {n}" for name, n in failures.items() if n):
         notes.append(f"runs without a completed record, left out of the statistics: {counts}")
     return notes
