@@ -68,7 +68,7 @@ def changed(record, target, attributes):
     """A copy of a record with other attributes."""
     shutil.copy(record, target)
     with h5py.File(target, "r+") as file:
-        file.attrs.update({k: json.dumps(v) if isinstance(v, dict) else v for k, v in attributes.items()})
+        file.attrs.update({k: json.dumps(v) if isinstance(v, (dict, list)) else v for k, v in attributes.items()})
     return target
 
 
@@ -169,8 +169,133 @@ def test_a_run_that_did_not_complete_is_shown_and_never_the_best(compare, store,
     answer = compare("far", broken, "--metrics", "far_x")
     found = rows(answer.out)
     assert found[store.ids["far"]][-1] == "2.000*"
-    assert found["broken"][-1] == "0.001000"
+    assert found["broken"][-1] == "0.001000†"
     assert f"({'interrupted (killed)' if status == 'running' else status})" in answer.out
+
+
+def trouble(kind, stop_time=0.05, step=0.01):
+    """y is the time; kind 4: the FMU ends the run at 0.02 s."""
+    experiment = merged(single("trouble", stop_time, step, kind=kind), {"components.one.start": {"u": 0.0}})
+    return {**experiment, "metrics": {"rms_y": {"of": "rms", "signal": "one.y"}}}
+
+
+@pytest.fixture
+def early(models, tmp_path):
+    """A run that its FMU ended at 0.02 s of 0.05 s, and one that went on: the shorter one has the smaller rms."""
+    return run(tmp_path, trouble(4), "a.toml"), run(tmp_path, trouble(0), "a.toml")
+
+
+def test_a_run_that_an_fmu_ended_early_is_marked_and_never_the_best(compare, early):
+    (short, short_file), (whole, whole_file) = early
+    answer = compare(short_file, whole_file)
+    found = rows(answer.out)
+    assert found[short][-1] == "0.01291†"
+    assert found[whole][-1] == "0.03028*"
+    assert "(ended early at 0.02 s)" in " ".join(answer.out.split())
+    assert f"† not compared: {short} ended early at 0.02 s" in answer.out
+    report = compare(short_file, whole_file, "--json").json
+    assert report["runs"][0]["marks"] == ["ended early at 0.02 s"]
+    assert report["runs"][0]["stopped_at"] == pytest.approx(0.02)
+    assert report["runs"][1]["marks"] == []
+    assert (report["metrics"][0]["best"], report["metrics"][0]["marked"]) == ([whole], [short])
+
+
+def test_an_end_at_the_stop_time_is_no_early_one(compare, store, tmp_path):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    for at, marks in ((0.05, []), (0.04, ["ended early at 0.04 s"])):
+        ended = changed(near, tmp_path / "ended.h5", {"stopped_at": at})
+        assert compare(ended, "--json").json["runs"][0]["marks"] == marks
+
+
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        ({"warnings": ["it is wrong"], "warning_kinds": ["unstable"]}, "warned: unstable at this step"),
+        ({"format_version": 1, "metrics_of": "rows"}, "metrics of its rows, not of every step"),
+    ],
+)
+def test_a_run_whose_numbers_are_wrong_is_marked_in_every_format(compare, store, tmp_path, attributes, words):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    wrong = changed(near, tmp_path / "wrong.h5", {**attributes, "run_id": "wrong"})
+    what = ("far", wrong, "--metrics", "far_x")
+    table = compare(*what).out
+    assert rows(table)["wrong"][-1] == "1.000†"
+    assert f"† not compared: wrong {words}" in " ".join(table.split())
+    text = compare(*what, "--format", "markdown").out
+    assert "| 1.000† |" in text
+    assert f"wrong {words}" in text
+    assert text.count("**2.000**") == 1
+    text = compare(*what, "--format", "latex").out
+    assert r"1.000 {\textsuperscript{\dag}}" in text
+    assert words in next(line for line in text.splitlines() if r"\caption" in line)
+    line = list(csv.DictReader(io.StringIO(compare(*what, "--format", "csv").out)))[1]
+    assert (line["far_x [m]"], line["marks"]) == ("1.0", words)
+    assert compare(*what, "--json").json["metrics"][0]["best"] == [store.ids["far"]]
+
+
+def test_a_run_that_switches_in_every_step_has_no_best_of_what_counts_changes(compare, models, tmp_path):
+    counting = {"variation": {"of": "total_variation", "signal": "one.ramp"}, "far": METRICS_OF_WAVES["far_x"]}
+    paths = [run(tmp_path, {**table((k, 0.0, 0.0)), "metrics": counting})[1] for k in (1.0, 2.0)]
+    switching = {"warnings": ["it switches"], "warning_kinds": ["switching"], "run_id": "switching"}
+    columns = compare(changed(paths[0], tmp_path / "s.h5", switching), paths[1], "--json").json
+    assert [column["marked"] for column in columns["metrics"]] == [["switching"], []]
+    assert columns["metrics"][1]["best"] == ["switching"]
+    assert columns["footnotes"] == ["variation of switching warned: switches in every step"]
+
+
+def test_a_warning_that_is_not_of_the_numbers_is_named_below_the_table(compare, store, tmp_path):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    warned = changed(near, tmp_path / "warned.h5", {"warnings": ["depth"], "warning_kinds": [""], "run_id": "warned"})
+    answer = compare("far", warned, "--metrics", "far_x")
+    assert rows(answer.out)["warned"][-1] == "1.000*"
+    assert "note: warned warned of something (other): see orch show warned" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"master.stop_time": 0.1}, "window = 0 to 0.05 s or 0 to 0.1 s"),
+        ({"master.step": 0.005}, "step = 0.005 s or 0.01 s"),
+        ({"metrics.far_x.every": 0.02}, "every = 0.02 or none"),
+    ],
+)
+def test_runs_that_are_not_alike_have_no_best(compare, store, tmp_path, changes, words):
+    experiment = table((0.5, 0.0, 0.0))
+    experiment["metrics"] = {"far_x": METRICS_OF_WAVES["far_x"]}
+    _, path = run(tmp_path, merged(experiment, changes))
+    answer = compare("near", path, "--metrics", "far_x")
+    assert "*" not in answer.out
+    assert f"far_x is not the same in all runs: {words}; runs that are not alike have no best" in unwrapped(answer.out)
+    text = compare("near", path, "--metrics", "far_x", "--format", "latex").out
+    assert r"\bfseries" not in text
+    assert "Bold" not in text
+    assert words in text
+
+
+def unwrapped(text):
+    return " ".join(text.split())
+
+
+def test_one_window_is_alike_whatever_the_stop_time(compare, models, tmp_path):
+    experiment = table((0.5, 0.0, 0.0))
+    experiment["metrics"] = {"far_x": {**METRICS_OF_WAVES["far_x"], "before": 0.04}}
+    paths = [run(tmp_path, merged(experiment, {"master.stop_time": stop}))[1] for stop in (0.05, 0.06)]
+    far = merged(experiment, {"components.one.parameters.place": [1.0, 0.0, 0.0]})
+    answer = compare(paths[1], run(tmp_path, far)[1], "--json").json
+    assert answer["notes"] == []
+    assert len(answer["metrics"][0]["best"]) == 1
+
+
+def test_a_branch_from_a_checkpoint_is_not_compared_with_a_run_from_the_beginning(orch, spiral, write):
+    spiral["metrics"] = {"rmse_x": {**spiral["metrics"]["rmse_x"], "after": 0.03}}
+    spiral["master"]["step"] = 1e-4
+    path = write(spiral)
+    whole = orch("run", path, "--json", "--checkpoint-at", "0.02").json
+    more = ("--from", whole["checkpoints"][0], "--swap", "controller=mfsosmc")
+    branch = orch("run", path, "--json", *more).json
+    answer = orch("compare", whole["run_id"], branch["run_id"])
+    assert "*" not in answer.out
+    assert f"from = run {whole['run_id']} at 0.02 s" in unwrapped(answer.out)
 
 
 def test_a_failed_run_has_its_row(compare, models, tmp_path):
@@ -233,11 +358,12 @@ def test_csv_has_a_line_a_run_in_full_precision(compare, store):
         "heading [deg]",
         "end_z [m]",
         "never [s]",
+        "marks",
     ]
     assert len(lines) == 3
     assert lines[2][:2] == [store.ids["farther"], "waves"]
     assert lines[2][3:6] == ["completed", "3.0", repr(3.00001 * 100.0)]
-    assert lines[2][-1] == ""
+    assert lines[2][-2:] == ["", ""]
 
 
 def test_latex_is_for_siunitx_and_booktabs(compare, store):

@@ -5,7 +5,8 @@ Who compares what, all with `differing`:
     bits           two records of one plan: their rows bit for bit, and how they ended (`orch rerun --verify`)
     diff           two records: all that differs but clocks, named in full (`orch diff`)
     labels         many records: a few words that tell one from the others, for legends and tables
-    side_by_side   many records: their metrics, and definitions of one metric that differ (`orch compare`)
+    alike          many records: whether a metric has one definition, window, step and beginning in all
+    side_by_side   many records: their metrics, which is the best (`orch compare`)
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Runs side by side: their metrics, what tells them apart, which is the best.  Only attributes of records are read."""
+"""Runs side by side: their metrics, what tells them apart, which is the best.  Only attributes of records are read.
+
+What speaks against comparing a number is said by `records.file.marks` of one run, and by `alike` of several.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ... import warning
 from ...errors import StoreError, did_you_mean
 from ...metrics import METRICS, finite, smaller_is_better, unit_of
-from ..file.run import Run
+from ...warning import Warned
+from ..file.marks import Standing, standing_of
+from ..file.run import Run, metrics_in
 from ..store.folder import Store
-from .labels import labels_of, text
-from .settings import differing
-
-if TYPE_CHECKING:
-    from _typeshed import SupportsRichComparison
+from .alike import in_words, unlike
+from .labels import labels_of
 
 DIGITS = 4  # significant ones, of the numbers in tables; the best is judged at them
 
@@ -49,42 +52,60 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A run.  label: what tells it from the others; metrics: nan where a metric has no value."""
+    """A run.  label: what tells it from the others; metrics: inf where it never happens, nan where there is none."""
 
     name: str
     path: Path
     label: str
-    status: str
+    standing: Standing
+    warnings: Sequence[Warned]
     attributes: Mapping[str, Any]
     metrics: Mapping[Column, float]
 
     @property
     def title(self) -> str:
-        """How the run ended, if it did not complete, then the label: a table may cut off the end."""
-        return self.label if self.is_completed else f"({self.status}) {self.label}".rstrip()
+        """What speaks against its numbers, then the label: a table may cut off the end."""
+        marks = "; ".join(self.standing.marks)
+        return f"({marks}) {self.label}".rstrip() if marks else self.label
 
     @property
-    def is_completed(self) -> bool:
-        return self.status == "completed"
+    def status(self) -> str:
+        return self.standing.status
+
+    def marks_of(self, column: Column) -> tuple[str, ...]:
+        """Why its number may not be compared; () where nothing speaks against it."""
+        return self.standing.marks_of(column.of)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs in the order asked for, metrics in the order of their files.  notes: what makes numbers hard to compare."""
+    """Runs in the order asked for, metrics in the order of their files.
+
+    footnotes: what the daggers mean; notes: what else makes numbers hard to compare.
+    """
 
     entries: list[Entry]
     columns: list[Column]
+    footnotes: list[str]
     notes: list[str]
 
     def best(self, column: Column) -> list[Entry]:
-        """The completed runs whose value is nearest to zero, at DIGITS; [] where no run is better than another."""
+        """The runs whose value is nearest to zero, at DIGITS, of those that may be compared; [] where none is better.
+
+        That is also so where these runs are not alike, or where the metric has no best value.
+        """
         numbers = {i: e.metrics.get(column, math.nan) for i, e in enumerate(self.entries)}
         finite_ones = {i: abs(float(digits(v))) for i, v in numbers.items() if math.isfinite(v)}
-        ranked = {i: v for i, v in finite_ones.items() if self.entries[i].is_completed}
-        if not column.ranked or len(finite_ones) < 2 or not ranked:
+        ranked = {i: v for i, v in finite_ones.items() if not self.entries[i].marks_of(column)}
+        if not column.ranked or len(finite_ones) < 2 or not ranked or not self._alike(column):
             return []
         best = [i for i, value in ranked.items() if value == min(ranked.values())]
         return [] if 1 < len(best) == len(finite_ones) else [self.entries[i] for i in best]
+
+    def _alike(self, column: Column) -> bool:
+        """Whether those of the runs that may be compared have one and the same metric."""
+        compared = [e for e in self.entries if column in e.metrics and not e.marks_of(column)]
+        return not unlike(column.name, [e.attributes["experiment_resolved"] for e in compared])
 
 
 def digits(value: float) -> str:
@@ -127,22 +148,26 @@ def compare(paths: Iterable[Path], globs: Sequence[str] = ()) -> Comparison:
         replace(entry, name=name, label=label)
         for entry, name, label in zip(read, _names(read), _labels(read), strict=True)
     ]
-    return Comparison(entries, chosen, list(_notes(entries, chosen)))
+    return Comparison(entries, chosen, list(_footnotes(entries, chosen)), list(_notes(entries, chosen)))
 
 
 def _read(path: Path) -> Entry:
     """A record as an entry without name and label."""
     with Run(path) as run:
         attributes, status = run.attributes, run.status
-        resolved = attributes["experiment_resolved"]
-        units, values = run.metric_units, {}
-        for name, value in attributes["metrics"].items():
-            spec = resolved["metrics"][name]
-            column = Column.of_spec(name, spec, units)
-            values[column] = math.nan if value is None else float(value)
+        specs, units = attributes["experiment_resolved"]["metrics"], run.metric_units
+    warnings = warning.read(attributes)
+    values = {Column.of_spec(name, specs[name], units): float(value) for name, value in metrics_in(attributes).items()}
     kept = ("run_id", "experiment", "title", "error", "experiment_resolved")
-    facts = {name: attributes[name] for name in kept}
-    return Entry(name="", path=path, label="", status=status, attributes=facts, metrics=values)
+    return Entry(
+        name="",
+        path=path,
+        label="",
+        standing=standing_of(attributes, status),
+        warnings=warnings,
+        attributes={name: attributes[name] for name in kept},
+        metrics=values,
+    )
 
 
 def _names(entries: Sequence[Entry]) -> list[str]:
@@ -176,28 +201,32 @@ def _differing(entries: Sequence[Entry]) -> list[list[str]]:
     return result
 
 
+def _footnotes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]:
+    """What speaks against comparing the numbers of a run, or some of them."""
+    for entry in entries:
+        marks = entry.standing.marks
+        if marks and any(column in entry.metrics for column in columns):
+            yield f"{entry.name} {', '.join(marks)}"
+        for column in columns:
+            if column in entry.metrics and (more := entry.marks_of(column)[len(marks) :]):
+                yield f"{column.name} of {entry.name} {', '.join(more)}"
+
+
 def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]:
-    """Metrics that share a name but are not defined alike in all runs."""
+    """Metrics that share a name but are not one metric in all runs; and warnings that mark no number."""
+    names: dict[str, list[str]] = {}  # {what is not the same: metrics}
     for name in dict.fromkeys(column.name for column in columns):
-        metrics = [e.attributes["experiment_resolved"]["metrics"] for e in entries]
-        specs = [of[name] for of in metrics if name in of]
-        texts = {
-            key: sorted({"none" if key not in spec else text(spec[key]) for spec in specs}, key=_in_order)
-            for key in differing(specs)
-        }
-        if texts:
-            words = ", ".join(f"{key} = {' or '.join(values)}" for key, values in texts.items())
-            yield f"{name} is not the same in all runs: {words}"
+        resolved = [e.attributes["experiment_resolved"] for e in entries]
+        if differences := unlike(name, [of for of in resolved if name in of["metrics"]]):
+            names.setdefault(in_words(differences), []).append(name)
+    for words, those in names.items():
+        who = f"{', '.join(those)} {'is' if len(those) == 1 else 'are'}"
+        yield f"{who} not the same in all runs: {words}; runs that are not alike have no best"
+    for entry in entries:
+        if entry.warnings and not entry.standing.marks:
+            yield f"{entry.name} warned of something ({', '.join(entry.standing.kinds)}): see orch show {entry.name}"
     if entries and not columns:
         yield "no run has metrics: name some under [metrics] in the experiment file"
-
-
-def _in_order(text: str) -> SupportsRichComparison:
-    """Key that sorts numbers by their size, before words."""
-    try:
-        return 0, float(text), text
-    except ValueError:
-        return 1, 0.0, text
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
@@ -207,8 +236,13 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             "file": str(e.path),
             "label": e.label,
             "status": e.status,
+            "marks": list(e.standing.marks),
+            "stopped_at": e.standing.stopped_at,
+            "warnings": list(e.warnings),
+            "warning_kinds": warning.kinds_of(e.warnings),
             **{name: e.attributes[name] for name in ("run_id", "experiment", "title", "error")},
             "metrics": finite({c.name: e.metrics[c] for c in comparison.columns if c in e.metrics}),
+            "never": [c.name for c in comparison.columns if e.metrics.get(c) == math.inf],
         }
         for e in comparison.entries
     ]
@@ -219,7 +253,8 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             "unit": c.unit or "1",
             "better": "smaller" if c.ranked else None,
             "best": [e.name for e in comparison.best(c)],
+            "marked": [e.name for e in comparison.entries if c in e.metrics and e.marks_of(c)],
         }
         for c in comparison.columns
     ]
-    return {"runs": runs, "metrics": columns, "notes": comparison.notes}
+    return {"runs": runs, "metrics": columns, "footnotes": comparison.footnotes, "notes": comparison.notes}

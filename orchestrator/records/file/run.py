@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -20,6 +20,7 @@ from ...names import split_axis
 from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
 from .format import ENVELOPE, HEARD, JSON
+from .marks import Standing, standing_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -189,9 +190,7 @@ class Run:
     @property
     def metrics(self) -> dict[str, float]:
         """{metric: number}: inf where what it is the time of never happens, nan where it has none."""
-        attributes = self.attributes
-        missing = dict.fromkeys(attributes.get("metrics_never", ()), math.inf)
-        return {name: missing.get(name, math.nan) if v is None else v for name, v in attributes["metrics"].items()}
+        return metrics_in(self.attributes)
 
     @property
     def unsampled(self) -> set[str]:
@@ -226,6 +225,11 @@ class Run:
         """Whether the run says itself that its numbers are wrong."""
         return warning.are_wrong(self.warnings)
 
+    @property
+    def standing(self) -> Standing:
+        """Whether its numbers may be compared with those of others, and why not."""
+        return standing_of(self.attributes, self.status)
+
     def to_dataframe(self) -> pd.DataFrame:
         """All signals as columns, indexed by time [s]."""
         import pandas as pd
@@ -238,6 +242,12 @@ class Run:
         for index in np.ndindex(values.shape[1:]):
             place = ",".join(str(i + 1) for i in index)
             yield f"{signal}[{place}]" if place else signal, values[(slice(None), *index)]
+
+
+def metrics_in(attributes: Mapping[str, Any]) -> dict[str, float]:
+    """`Run.metrics` of its decoded root attributes."""
+    missing = dict.fromkeys(attributes.get("metrics_never", ()), math.inf)
+    return {name: missing.get(name, math.nan) if v is None else v for name, v in attributes["metrics"].items()}
 
 
 def _signals(file: h5py.File) -> list[str]:

@@ -9,7 +9,13 @@ from collections.abc import Sequence
 from ...fmu import units
 
 POWERS = {1: "", 2: r"\squared", 3: r"\cubed"}
-SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "…": r"\ldots{}"}
+SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "…": r"\ldots{}",
+    "†": r"\textsuperscript{\dag}",
+}
 SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
 
 
