@@ -19,6 +19,8 @@ class Kind(StrEnum):
     SWITCHING = "switching"  # a loop switches in every step, however short it is: what counts changes is wrong
     ROWS = "rows"  # metrics of a record of format 1, of its rows and not of every step
     UNCHECKED = "unchecked"  # a loop oscillates, and nothing could be run to compare it with
+    LIMIT = "limit"  # a value left what an FMU declares: the model is not valid there
+    JUMP = "jump"  # a reference jumped by more than half a turn: a note
     OTHER = ""
 
 
@@ -35,6 +37,12 @@ class Warned(str):
         made = super().__new__(cls, text)
         made.kind = kind
         return made
+
+
+def printed(text: str) -> str:
+    """A line for people."""
+    note = isinstance(text, Warned) and text.kind is Kind.JUMP
+    return f"{'note' if note else 'warning'}: {text}"
 
 
 def kinds_of(warnings: Iterable[str]) -> list[str]:

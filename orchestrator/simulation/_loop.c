@@ -133,6 +133,28 @@ typedef struct {
     double *least, *largest;   /* since the last row */
 } Samples;
 
+/* A value and what it may be; an angle, and by how much it may jump: see sampling.py. */
+#define LIMIT_FIELDS "kind place low high"
+typedef struct {
+    int64_t kind, place;
+    double low, high;
+} Limit;
+
+#define ANGLE_FIELDS "place turn before"
+typedef struct {
+    int64_t place;
+    double turn, before;
+} Angle;
+
+/* Limits, reals first, then angles. */
+typedef struct {
+    size_t n_limits, n_reals, n_angles;
+    const Limit *limits;
+    Angle *angles;
+    int64_t *ticks; /* when a value first left its limits, or jumped; -1 before */
+    double *first, *farthest;
+} Watched;
+
 typedef struct {
     PyObject_HEAD
     PyObject *program; /* owns all memory below that is not freed in loop_dealloc */
@@ -145,6 +167,7 @@ typedef struct {
     size_t n_recorded[KINDS];
     Bursts bursts;
     Samples sampled;
+    Watched watched;
     double *seconds; /* (steppers, 3): of set, step and get in timed steps */
     int64_t *samples;
     Py_ssize_t sample_every, stride;
@@ -299,12 +322,15 @@ static void look(const Bursts *b, void *const *tables, int64_t tick) {
     }
 }
 
+static inline double value_of(void *const *tables, int64_t kind, Py_ssize_t place) {
+    return kind == REAL ? ((const double *)tables[REAL])[place] : load(tables[kind], place, kind);
+}
+
 /* The values at the end of a tick, as column `column`. */
 static void take(const Samples *s, void *const *tables, size_t column) {
     double *values = s->values + column;
     for (size_t i = 0; i < s->n; i++, values += s->block)
-        *values = s->kinds[i] == REAL ? ((const double *)tables[REAL])[s->places[i]]
-                                      : load(tables[s->kinds[i]], s->places[i], s->kinds[i]);
+        *values = value_of(tables, s->kinds[i], s->places[i]);
 }
 
 static void widen(const Samples *s, const double *table) {
@@ -312,6 +338,47 @@ static void widen(const Samples *s, const double *table) {
         double value = table[s->bounded[i]];
         s->least[i] = value < s->least[i] ? value : s->least[i];
         s->largest[i] = value > s->largest[i] ? value : s->largest[i];
+    }
+}
+
+static void note_limits(const Watched *w, void *const *tables, int64_t tick) {
+    for (size_t i = 0; i < w->n_limits; i++) {
+        const Limit *l = &w->limits[i];
+        double value = value_of(tables, l->kind, l->place), farthest = w->farthest[i];
+        if (!(value < l->low || value > l->high)) continue;
+        if (w->ticks[i] < 0) {
+            w->ticks[i] = tick;
+            w->first[i] = w->farthest[i] = value;
+        } else if (fmax(l->low - value, value - l->high) > fmax(l->low - farthest, farthest - l->high)) {
+            w->farthest[i] = value;
+        }
+    }
+}
+
+static void note_jump(const Watched *w, size_t i, double jump, int64_t tick) {
+    if (w->ticks[i] >= 0) return;
+    w->ticks[i] = tick;
+    w->first[i] = jump;
+}
+
+/* tick: that has ended. */
+static void watch(const Watched *w, void *const *tables, int64_t tick) {
+    const double *reals = tables[REAL];
+    const Limit *l = w->limits;
+    for (const Limit *end = l + w->n_reals; l < end; l++)
+        if (reals[l->place] < l->low || reals[l->place] > l->high) break;
+    for (const Limit *end = w->limits + w->n_limits; l < end; l++) {
+        double value = value_of(tables, l->kind, l->place);
+        if (value < l->low || value > l->high) {
+            note_limits(w, tables, tick);
+            break;
+        }
+    }
+    for (size_t i = 0; i < w->n_angles; i++) {
+        Angle *a = &w->angles[i];
+        double jump = reals[a->place] - a->before;
+        if (fabs(jump) > a->turn) note_jump(w, w->n_limits + i, jump, tick);
+        a->before = reals[a->place];
     }
 }
 
@@ -369,6 +436,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         look(&self->bursts, self->tables, k + 1);
         if (samples->n) take(samples, self->tables, column++);
         if (samples->n_bounded) widen(samples, self->tables[REAL]);
+        watch(&self->watched, self->tables, k + 1);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
                 size_t n = self->n_recorded[kind], size = size_of(kind);
@@ -541,6 +609,20 @@ static int parse_samples(PyObject *tuple, Samples *s) {
     return 0;
 }
 
+#define WATCHED_FIELDS "limits angles ticks first farthest"
+#define WATCHED_FORMAT "OOOOO"
+static int parse_watched(PyObject *tuple, Watched *w) {
+    PyObject *limits, *angles, *ticks, *first, *farthest;
+    if (!PyArg_ParseTuple(tuple, WATCHED_FORMAT, &limits, &angles, &ticks, &first, &farthest)) return -1;
+    if (!(w->limits = memory_of(limits, sizeof(Limit), &w->n_limits))) return -1;
+    if (!(w->angles = memory_of(angles, sizeof(Angle), &w->n_angles))) return -1;
+    if (!(w->ticks = memory_of(ticks, sizeof(int64_t), NULL))) return -1;
+    if (!(w->first = memory_of(first, sizeof(double), NULL))) return -1;
+    if (!(w->farthest = memory_of(farthest, sizeof(double), NULL))) return -1;
+    while (w->n_reals < w->n_limits && w->limits[w->n_reals].kind == REAL) w->n_reals++;
+    return 0;
+}
+
 static void loop_dealloc(Loop *self) {
     PyTypeObject *type = Py_TYPE((PyObject *)self);
     for (size_t i = 0; self->steppers && i < self->n_steppers; i++) {
@@ -572,11 +654,11 @@ static int is_staged(const Loop *self, const Call *c) {
 }
 
 #define PROGRAM_FIELDS                                                                                                 \
-    "steppers tables computed recorded bursts sampled seconds samples sample_every interrupt stride holds_lock "       \
-    "records_inputs"
-#define PROGRAM_FORMAT "O!O!(nn)O!O!O!OOnOnpp"
+    "steppers tables computed recorded bursts sampled watched seconds samples sample_every interrupt stride "          \
+    "holds_lock records_inputs"
+#define PROGRAM_FORMAT "O!O!(nn)O!O!O!O!OOnOnpp"
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
-    PyObject *program, *steppers, *tables, *recorded, *bursts, *sampled, *seconds, *samples;
+    PyObject *program, *steppers, *tables, *recorded, *bursts, *sampled, *watched, *seconds, *samples;
     PyObject *interrupt;
     void *places[KINDS];
     if (self->program) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
@@ -584,14 +666,15 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
     if (!PyArg_ParseTuple(arguments, "O!", &PyTuple_Type, &program)) return -1;
     if (!PyArg_ParseTuple(program, PROGRAM_FORMAT, &PyList_Type, &steppers, &PyTuple_Type, &tables, &self->n_reals,
                           &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &bursts, &PyTuple_Type, &sampled,
-                          &seconds, &samples, &self->sample_every, &interrupt, &self->stride, &self->holds_lock, &self->records_inputs))
+                          &PyTuple_Type, &watched, &seconds, &samples, &self->sample_every, &interrupt, &self->stride,
+                          &self->holds_lock, &self->records_inputs))
         return -1;
     self->program = Py_NewRef(program);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
         return -1;
     for (int kind = 0; kind < KINDS; kind++) self->recorded[kind] = places[kind];
     if (parse_bursts(bursts, &self->bursts) < 0) return -1;
-    if (parse_samples(sampled, &self->sampled) < 0) return -1;
+    if (parse_samples(sampled, &self->sampled) < 0 || parse_watched(watched, &self->watched) < 0) return -1;
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
@@ -656,11 +739,11 @@ static PyType_Spec loop_spec = {"orchestrator.simulation._loop.Loop", sizeof(Loo
 
 /* What program.layout() must agree with. */
 static PyObject *layout_of(void) {
-    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS, "StepperProgram",
-                         STEPPER_FIELDS, "CallProgram", CALL_FIELDS, "PublicationProgram", PUBLICATION_FIELDS,
+    return Py_BuildValue("{s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:s, s:N}", "Program", PROGRAM_FIELDS,
+                         "StepperProgram", STEPPER_FIELDS, "CallProgram", CALL_FIELDS, "PublicationProgram", PUBLICATION_FIELDS,
                          "BurstsProgram", BURSTS_FIELDS, "ClockProgram", CLOCK_FIELDS, "SamplesProgram", SAMPLES_FIELDS,
-                         "Conversion", CONVERSION_FIELDS, "kinds",
-                         EACH_KIND(NAME), "moments", MOMENT_NAMES, "NOT_FINITE",
+                         "WatchedProgram", WATCHED_FIELDS, "Conversion", CONVERSION_FIELDS, "Limit", LIMIT_FIELDS,
+                         "Angle", ANGLE_FIELDS, "kinds", EACH_KIND(NAME), "moments", MOMENT_NAMES, "NOT_FINITE",
                          PyUnicode_FromFormat("%d", NOT_FINITE));
 }
 

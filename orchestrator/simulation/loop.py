@@ -23,7 +23,7 @@ from ..instances.instance import Call
 from .bursts import Bursts
 from .observer import Block, Interrupt
 from .program import NOT_FINITE, layout, program_of
-from .sampling import Samples
+from .sampling import Limits, Samples
 from .stepper import AT_ONCE, EVERY, PERIOD_END, TICK_END, Stepper, Timing
 from .system import System
 
@@ -36,9 +36,10 @@ class Loop(ABC):
 
     name: str
 
-    def __init__(self, system: System, samples: Samples):
+    def __init__(self, system: System, samples: Samples, limits: Limits):
         self.ticks = system.plan.first
         self._system, self._samples, self._rows = system, samples, _Rows(system, samples)
+        self._limits = limits
 
     @abstractmethod
     def advance(self, last: int, patience: float) -> None:
@@ -81,17 +82,20 @@ class Loop(ABC):
                     publish()
         self.ticks = k + 1
         self._samples.take(self.ticks)
+        self._limits.look(self.ticks)
         if self.ticks % self._system.plan.stride == 0:
             self._rows.add(self.ticks)
 
 
-def choose(system: System, bursts: Bursts, samples: Samples, timing: Timing, interrupt: Interrupt) -> Loop:
+def choose(
+    system: System, bursts: Bursts, samples: Samples, limits: Limits, timing: Timing, interrupt: Interrupt
+) -> Loop:
     """The compiled loop, where it is built and every value is a number; ORCH_LOOP=python asks for the other one."""
     loop = compiled()
     objects = any(system.computed[k] < len(system.tables[k]) or len(system.recorded[k]) for k in OBJECTS)
     if loop is None or objects:
-        return InterpretedLoop(system, bursts, samples, timing, interrupt)
-    return CompiledLoop(loop, system, bursts, samples, timing, interrupt)
+        return InterpretedLoop(system, bursts, samples, limits, timing, interrupt)
+    return CompiledLoop(loop, system, bursts, samples, limits, timing, interrupt)
 
 
 def compiled() -> type[_loop.Loop] | None:
@@ -131,10 +135,11 @@ class InterpretedLoop(Loop):
         system: System,
         bursts: Bursts,
         samples: Samples,
+        limits: Limits,
         timing: Timing,
         interrupt: Interrupt,
     ):
-        super().__init__(system, samples)
+        super().__init__(system, samples, limits)
         self._bursts, self._timing, self._interrupt = bursts, timing, interrupt
         self._steppers = [
             (number, stepper, stepper.component.period, *_calls(stepper), _sums_of_squares(stepper, system))
@@ -193,6 +198,7 @@ class InterpretedLoop(Loop):
             self.ticks = k + 1
             self._bursts.look(self.ticks)
             self._samples.take(self.ticks)
+            self._limits.look(self.ticks)
             if self.ticks % stride == 0:
                 self._rows.add(self.ticks)
 
@@ -208,11 +214,12 @@ class CompiledLoop(Loop):
         system: System,
         bursts: Bursts,
         samples: Samples,
+        limits: Limits,
         timing: Timing,
         interrupt: Interrupt,
     ):
-        super().__init__(system, samples)
-        self._loop = loop(program_of(system, bursts, samples, timing, interrupt))
+        super().__init__(system, samples, limits)
+        self._loop = loop(program_of(system, bursts, samples, limits, timing, interrupt))
 
     def advance(self, last: int, patience: float) -> None:
         first, stride = self.ticks, self._system.plan.stride

@@ -91,12 +91,10 @@ def _step_all(
     system: System, observers: Sequence[Observer], outcome: Outcome, interrupt: Interrupt, bursts: Bursts
 ) -> None:
     timing = Timing([component.period for component in system.plan.components])
-    samples = Samples(system)
-    loop = choose(system, bursts, samples, timing, interrupt)
+    samples, limits = Samples(system), Limits(system)
+    loop = choose(system, bursts, samples, limits, timing, interrupt)
     if message := out_of_date():
         outcome.warnings.append(message)
-    limits = Limits(system)
-    observers = [*observers, limits]
     _hand_over(loop, observers)
     first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()

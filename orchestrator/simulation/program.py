@@ -15,7 +15,7 @@ from ..fmu.variables import FLOATS, NUMBERS
 from ..instances.instance import Verb, references_of
 from .bursts import Bursts, BurstsProgram, ClockProgram
 from .observer import Interrupt
-from .sampling import Samples, SamplesProgram
+from .sampling import ANGLE, LIMIT, Limits, Samples, SamplesProgram, WatchedProgram
 from .stepper import EVERY, Getter, Moment, Setter, Stepper, Timing
 from .system import System
 
@@ -67,6 +67,7 @@ class Program(NamedTuple):
     recorded: tuple[Places, ...]  # of each kind
     bursts: BurstsProgram
     sampled: SamplesProgram
+    watched: WatchedProgram
     seconds: Reals  # (steppers, 3), see Timing
     samples: Table  # (steppers,) int64
     sample_every: int  # ticks
@@ -76,7 +77,9 @@ class Program(NamedTuple):
     records_inputs: bool
 
 
-def program_of(system: System, bursts: Bursts, samples: Samples, timing: Timing, interrupt: Interrupt) -> Program:
+def program_of(
+    system: System, bursts: Bursts, samples: Samples, limits: Limits, timing: Timing, interrupt: Interrupt
+) -> Program:
     """The program of an opened system.  The system must stay open while it is used."""
     plan = system.plan
     return Program(
@@ -86,6 +89,7 @@ def program_of(system: System, bursts: Bursts, samples: Samples, timing: Timing,
         recorded=tuple(system.recorded[kind] for kind in NUMBERS),
         bursts=bursts.program(),
         sampled=samples.program(),
+        watched=limits.program(),
         seconds=timing.seconds,
         samples=timing.samples,
         sample_every=EVERY,
@@ -138,10 +142,21 @@ def _call(stepper: Stepper, verb: Verb, call: Setter | Getter) -> CallProgram:
 
 def layout() -> dict[str, str]:
     """Fields, kinds and moments in the order of this side, as LAYOUT of `_loop.c`."""
-    records = (Program, StepperProgram, CallProgram, PublicationProgram, BurstsProgram, ClockProgram, SamplesProgram)
+    records = (
+        Program,
+        StepperProgram,
+        CallProgram,
+        PublicationProgram,
+        BurstsProgram,
+        ClockProgram,
+        SamplesProgram,
+        WatchedProgram,
+    )
     return {
         **{record.__name__: " ".join(record._fields) for record in records},
         "Conversion": " ".join(CONVERSION.names or ()),
+        "Limit": " ".join(LIMIT.names or ()),
+        "Angle": " ".join(ANGLE.names or ()),
         "kinds": "".join(f"{kind} " for kind in NUMBERS),
         "moments": " ".join(Moment.__members__),
         "NOT_FINITE": str(NOT_FINITE),

@@ -14,11 +14,13 @@ import numpy as np
 from ..arrays import Places, Reals, Table
 from ..fmu.variables import NUMBERS
 from ..metrics import Meter
-from .observer import Block, Observer
+from ..plan.limits import Limit, Reference, limits_of, references_of
+from ..warning import Kind, Warned
 from .system import System
 
 BLOCK = 1 << 13  # ticks
-BEYOND = 1e-9  # of a limit: less is rounding
+LIMIT = np.dtype([("kind", "i8"), ("place", "i8"), ("low", "f8"), ("high", "f8")])  # kind: its place in NUMBERS
+ANGLE = np.dtype([("place", "i8"), ("turn", "f8"), ("before", "f8")])
 
 
 class SamplesProgram(NamedTuple):
@@ -32,6 +34,16 @@ class SamplesProgram(NamedTuple):
     bounded: Places  # (m,) in the table of reals
     least: Reals  # (m,)
     largest: Reals
+
+
+class WatchedProgram(NamedTuple):
+    """What the compiled loop needs to watch, too; see `Limits`."""
+
+    limits: Table  # (n,) of LIMIT, those of reals first
+    angles: Table  # (m,) of ANGLE, in the table of reals
+    ticks: Table  # (n + m,) int64
+    first: Reals  # (n + m,)
+    farthest: Reals  # (n,)
 
 
 class Samples:
@@ -129,62 +141,86 @@ class Samples:
         self._done += n
 
 
-class Limits(Observer):
-    """Watches what a model is valid for: every recorded real output in every row, against its own min and max and those
-    of the inputs that it drives.
+class Limits:
+    """Watches in every step what `plan.limits` names; begins with the initial values.
 
-    A start value and a parameter are looked at by the plan.
+    There are n limits and m references.  `ticks`: when a value first left its limits, or jumped; -1 before that.
+    `first`: the value then, or the jump; `farthest`: the value that was farthest beyond.
     """
 
     def __init__(self, system: System):
         plan = system.plan
-        self._grid = plan.experiment.grid
-        limits = {(c, v.name): [(v.limits, f"{c}.{v.name}", 1.0, 0.0)] for c, v in plan.recorded if v.kind == "real"}
-        for k in plan.connections:
-            if (k.source, k.output.name) in limits:
-                entry = k.input.limits, f"{k.sink}.{k.input.name}", k.factor, k.offset
-                limits[k.source, k.output.name].append(entry)
-        self._watched: list[tuple[int, str, str, float, float]] = []  # column, signal, whose limit, factor, offset
-        low, high = [], []
-        for column, (port, entries) in enumerate(limits.items()):
-            seen = set()
-            for (least, largest), owner, factor, offset in entries:
-                bounds = least, largest, factor, offset
-                if bounds not in seen and (math.isfinite(least) or math.isfinite(largest)):
-                    seen.add(bounds)
-                    self._watched.append((column, ".".join(port), owner, factor, offset))
-                    low.append(least - BEYOND * abs(least) if math.isfinite(least) else least)
-                    high.append(largest + BEYOND * abs(largest) if math.isfinite(largest) else largest)
-        self._low, self._high = np.array(low), np.array(high)
-        self._columns = np.array([entry[0] for entry in self._watched], dtype=np.intp)
-        self._factors = np.array([entry[3] for entry in self._watched])
-        self._offsets = np.array([entry[4] for entry in self._watched])
-        self._first: dict[int, tuple[int, float]] = {}  # {place in _watched: tick and value}
-        self._farthest: dict[int, float] = {}
+        self._grid, self._reals = plan.experiment.grid, system.tables["real"]
+        self._limits = sorted(limits_of(plan), key=lambda limit: NUMBERS.index(limit.kind))
+        self._references = list(references_of(plan))
+        n, m = len(self._limits), len(self._references)
+        rows = [(NUMBERS.index(of.kind), system.places[of.output], *of.range) for of in self._limits]
+        self._bounds = np.array(rows, LIMIT)
+        self._of_kind = [
+            (system.tables[kind], chosen, self._bounds["place"][chosen])
+            for number, kind in enumerate(NUMBERS)
+            if len(chosen := np.flatnonzero(self._bounds["kind"] == number))
+        ]
+        places = [system.places[of.output] for of in self._references]
+        turns = [(place, of.turn, self._reals[place]) for place, of in zip(places, self._references, strict=True)]
+        self._angles = np.array(turns, ANGLE)
+        self._now = np.zeros(n)
+        self._ticks = np.full(n + m, -1, dtype=np.int64)
+        self._first, self._farthest = np.zeros(n + m), np.zeros(n)
+        self.look(plan.first)
 
-    def rows(self, block: Block) -> None:
-        if not self._watched:
-            return
-        values = block.values["real"][:, self._columns] * self._factors + self._offsets
-        least, largest = values.min(axis=0), values.max(axis=0)
-        for i in np.flatnonzero((least < self._low) | (largest > self._high)):
-            column = values[:, i]
-            row = int(np.flatnonzero((column < self._low[i]) | (column > self._high[i]))[0])
-            self._first.setdefault(int(i), (block.ticks[row], float(column[row])))
-            low, high = float(self._low[i]), float(self._high[i])
-            ends = (self._farthest.get(int(i), float(column[row])), float(least[i]), float(largest[i]))
-            self._farthest[int(i)] = max((max(low - end, end - high), end) for end in ends)[1]
+    def look(self, tick: int) -> None:
+        """The values at `tick`, as they are now."""
+        n, values = len(self._limits), self._now
+        low, high = self._bounds["low"], self._bounds["high"]
+        for table, chosen, places in self._of_kind:
+            values[chosen] = table[places]
+        for i in np.flatnonzero((values < low) | (values > high)).tolist():
+            if self._ticks[i] < 0:
+                self._ticks[i], self._first[i], self._farthest[i] = tick, values[i], values[i]
+            elif _beyond(values[i], low[i], high[i]) > _beyond(self._farthest[i], low[i], high[i]):
+                self._farthest[i] = values[i]
+        now = self._reals[self._angles["place"]]
+        jumps = now - self._angles["before"]
+        for j in np.flatnonzero((abs(jumps) > self._angles["turn"]) & (self._ticks[n:] < 0)).tolist():
+            self._ticks[n + j], self._first[n + j] = tick, jumps[j]
+        self._angles["before"] = now
 
-    def warnings(self) -> list[str]:
-        """A sentence for each limit that was left."""
-        sentences: list[str] = []
-        for i, (tick, value) in sorted(self._first.items()):
-            _, signal, owner, _, _ = self._watched[i]
-            which, limit = ("min", self._low[i]) if value < self._low[i] else ("max", self._high[i])
-            at = "" if owner == signal else f" of {owner}"
-            time = self._grid.time(tick)
-            sentences.append(
-                f"{signal} = {value:.6g} at t = {time:.10g} s is beyond {limit:.6g}, the {which}{at} that its FMU "
-                f"declares, and {self._farthest[i]:.6g} at its farthest: the model is not valid there"
-            )
-        return sentences
+    def program(self) -> WatchedProgram:
+        return WatchedProgram(self._bounds, self._angles, self._ticks, self._first, self._farthest)
+
+    def warnings(self) -> list[Warned]:
+        """A message for each limit that was left, and a note for each reference that jumped."""
+        n = len(self._limits)
+        return [
+            *(self._left(i, limit) for i, limit in enumerate(self._limits) if self._ticks[i] >= 0),
+            *(self._jumped(n + j, of) for j, of in enumerate(self._references) if self._ticks[n + j] >= 0),
+        ]
+
+    def _left(self, i: int, limit: Limit) -> Warned:
+        value, farthest = (limit.factor * float(of[i]) + limit.offset for of in (self._first, self._farthest))
+        low, high = limit.bounds
+        side, bound, which = ("below", low, "min") if value < low else ("above", high, "max")
+        unit = f" {limit.unit}" if limit.unit not in ("", "1") else ""
+        output = ".".join(limit.output)
+        source = "" if output == limit.variable else f", driven by {output},"
+        text = (
+            f"{limit.variable}{source} is {value:.6g}{unit} at t = {self._time(i)} s, {side} {bound:.6g}, the {which} "
+            f"that its FMU declares, and {farthest:.6g} at its farthest: the model is not valid there"
+        )
+        return Warned(text, Kind.LIMIT)
+
+    def _jumped(self, i: int, reference: Reference) -> Warned:
+        text = (
+            f"{'.'.join(reference.output)} jumps by {self._first[i]:.6g} {reference.unit} at t = {self._time(i)} s, by "
+            "more than half a turn: the shipped controllers take the short way round, a controller that subtracts "
+            "angles as numbers turns back"
+        )
+        return Warned(text, Kind.JUMP)
+
+    def _time(self, i: int) -> str:
+        return f"{self._grid.time(int(self._ticks[i])):.10g}"
+
+
+def _beyond(value: float, low: float, high: float) -> float:
+    return max(low - value, value - high)

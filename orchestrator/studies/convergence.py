@@ -21,7 +21,7 @@ from ..records.file.run import Run
 from ..runs.prepare import Report, prepare
 from ..views import figures
 from ..views.tables import terminal
-from ..warning import Warned, are_wrong
+from ..warning import Warned, are_wrong, printed
 from . import processes
 from .progress import CommandProgress
 
@@ -225,7 +225,7 @@ def report(study: ConvergenceStudy) -> str:
         "* the experiment's own step; errors are estimates,",
         f"  {TOLERANCE:.0%} of the metric is allowed, or a millionth of the quantity",
     ]
-    lines = [*terminal.table(rows), "", *notes, *(f"warning: {warning}" for warning in study.warnings)]
+    lines = [*terminal.table(rows), "", *notes, *map(printed, study.warnings)]
     verdict = "converged" if study.converged else "NOT converged"
     return "\n".join([*lines, f"{study.experiment} is {verdict} at {study.own:g} s"])
 

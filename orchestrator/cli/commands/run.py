@@ -10,6 +10,7 @@ import click
 
 from ... import files
 from ...errors import ExperimentError, OrchError
+from ...warning import printed
 from .options import (
     INTERRUPTED,
     changes_options,
@@ -114,7 +115,7 @@ def run(
     elif not quiet and result.status == "completed":
         click.echo(show.result(result, plan))
     for warning in result.warnings:
-        report(f"warning: {warning}")
+        report(printed(warning))
     if result.status != "completed":
         click.echo(f"{result.file}: {result.error}", err=True)
     if result.last_inputs:

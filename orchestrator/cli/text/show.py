@@ -17,7 +17,7 @@ from ...plan.plan import Plan
 from ...simulation.stepper import PHASES
 from ...views.tables import system
 from ...views.tables.terminal import table
-from ...warning import kinds_of
+from ...warning import kinds_of, printed
 
 if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
     from ...records.file.run import Run
@@ -83,7 +83,7 @@ def record(run: Run) -> str:
         lines += ["", "  metrics", *table(shown, 4, title=False)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
-    lines += [f"warning: {warning}" for warning in run.warnings]
+    lines += [printed(warning) for warning in run.warnings]
     return "\n".join(lines)
 
 
