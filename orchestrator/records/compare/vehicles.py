@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...metrics import distance
 from ...names import split_axis
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ class Vehicle:
     eta_d: Mapping[str, Reals]  # the reference of its controller, likewise
     u: Mapping[str, Reals]  # normalized thruster commands
     v_c: Mapping[str, Reals]  # velocity of the current in NED [m/s]
+    bounds: Mapping[tuple[str, str], Reals]  # least and greatest since the row before, {("u", "T1"): (N, 2)}
 
 
 def vehicles(run: Run) -> list[Vehicle]:
@@ -36,16 +38,39 @@ def vehicles(run: Run) -> list[Vehicle]:
     result = []
     for name in names:
         controller = wiring.controller(name, names)
+        eta_d = wiring.arriving(f"{controller}.eta_d") if controller else {}
+        u = wiring.arriving(f"{name}.u")
+        envelopes = {
+            **{("eta", axis): run.envelope(f"{name}.eta.{axis}") for axis in AXES},
+            **{("eta_d", axis): wiring.envelope(f"{controller}.eta_d", axis) for axis in eta_d},
+            **{("u", axis): wiring.envelope(f"{name}.u", axis) for axis in u},
+        }
         result.append(
             Vehicle(
                 name=name,
                 eta={axis: run[f"{name}.eta.{axis}"] for axis in AXES},
-                eta_d=wiring.arriving(f"{controller}.eta_d") if controller else {},
-                u=wiring.arriving(f"{name}.u"),
+                eta_d=eta_d,
+                u=u,
                 v_c=wiring.arriving(f"{name}.v_c"),
+                bounds={place: bounds for place, bounds in envelopes.items() if bounds is not None},
             )
         )
     return result
+
+
+def formation(one: Vehicle, other: Vehicle) -> dict[str, Reals]:
+    """The other vehicle seen from the first: `distance` [m], `heading` [rad] and `depth` [m], each (N,).
+
+    heading: psi - psi, without jumps, and within half a turn of zero in the first row.
+    """
+    positions = [np.column_stack([vehicle.eta[axis] for axis in AXES[:3]]) for vehicle in (other, one)]
+    heading = np.unwrap(other.eta["psi"] - one.eta["psi"])
+    turn = 2 * np.pi
+    return {
+        "distance": distance(*positions),
+        "heading": heading - turn * round(heading[0] / turn),
+        "depth": other.eta["z"] - one.eta["z"],
+    }
 
 
 def _is_vehicle(run: Run, component: str) -> bool:
@@ -88,6 +113,18 @@ class _Wiring:
                 return factor * np.asarray(self._run[self._source[name]], float) + offset
             if name in self._start:
                 return np.full(len(self._run.time), float(self._start[name]))
+        return None
+
+    def envelope(self, vector: str, axis: str) -> Reals | None:
+        """(N, 2): the least and greatest of an axis since the row before; its own, else of its source, else None."""
+        for name in (f"{vector}.{axis}", f"{vector}[{axis}]"):
+            own = self._run.envelope(name)
+            if own is not None:
+                return own
+            source = self._run.envelope(self._source[name]) if name in self._source else None
+            if source is not None:
+                factor, offset = self._scale.get(name, (1.0, 0.0))
+                return np.sort(factor * source + offset, axis=1)  # a negative factor turns them round
         return None
 
     def controller(self, vehicle: str, others: list[str]) -> str | None:

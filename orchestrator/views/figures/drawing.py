@@ -18,11 +18,13 @@ from ...errors import StoreError, did_you_mean
 from ...fmu.units import readable
 from ...names import matches, split_axis
 from ...records.compare.labels import labels_of
-from .. import figures
+from .. import figures, lines
 from . import overview
-from .panels import GREY, Curve, Panel, colour, draw_rows, plain, symbol
+from .panels import GREY, Curve, Panel, band_key, colour, draw_rows, plain, symbol
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+
     from ...records.file.run import Run
 
 WIDTH = 10.0  # inches
@@ -83,7 +85,9 @@ def _figure(runs: Sequence[Run], signals: Sequence[str]) -> Figure:
     """From top to bottom: title and legend, tracks, panels over time."""
     traces = [] if signals else overview.traces(runs)
     rows = overview.rows(traces) if traces else [[panel] for panel in _chosen(runs, signals or ["*"])]
-    legends = [keys for keys in (_run_keys(runs), overview.keys(traces)) if keys]
+    legends: list[list[Artist]] = [keys for keys in (_run_keys(runs), overview.keys(traces)) if keys]
+    if any(curve.bounds is not None for row in rows for panel in row for curve in panel.curves):
+        legends = [*legends[:-1], [*(legends or [[]])[-1], band_key()]]
     head = 0.64 + sum(0.06 + LINE * -(-len(keys) // _columns(keys)) for keys in legends)
     tracks = TRACKS if traces else 0.0
     over_time = 0.4 + len(rows) * (1.2 if traces else 1.4)
@@ -105,7 +109,7 @@ def _figure(runs: Sequence[Run], signals: Sequence[str]) -> Figure:
     return figure
 
 
-def _write_head(figure: Figure, runs: Sequence[Run], legends: Sequence[list[Line2D]]) -> None:
+def _write_head(figure: Figure, runs: Sequence[Run], legends: Sequence[Sequence[Artist]]) -> None:
     height = figure.get_figheight()
     titles = dict.fromkeys(str(run.attributes["title"] or run.attributes["experiment"]) for run in runs)
     facts = [_facts(run) for run in runs]
@@ -133,9 +137,10 @@ def _write_head(figure: Figure, runs: Sequence[Run], legends: Sequence[list[Line
         down += 0.06 + LINE * -(-len(keys) // _columns(keys))
 
 
-def _columns(keys: Sequence[Line2D]) -> int:
+def _columns(keys: Sequence[Artist]) -> int:
     """As many columns of a legend as fit beside each other."""
-    return max(1, min(len(keys), 120 // (max(len(str(key.get_label())) for key in keys) + 7)))
+    widths = [len(str(key.get_label())) + 7 for key in keys]
+    return len(keys) if sum(widths) <= 120 else max(1, 120 // max(widths))
 
 
 def _facts(run: Run) -> list[str]:
@@ -148,11 +153,11 @@ def _facts(run: Run) -> list[str]:
     return facts
 
 
-def _run_keys(runs: Sequence[Run]) -> list[Line2D]:
+def _run_keys(runs: Sequence[Run]) -> list[Artist]:
     """The colour of each run and how it differs from the others."""
     if len(runs) == 1:
         return []
-    keys = []
+    keys: list[Artist] = []
     for i, (run, what) in enumerate(zip(runs, labels_of([run.resolved for run in runs]), strict=True)):
         status = "" if run.status == "completed" else f" ({run.status})"
         keys.append(Line2D([], [], color=colour(i), label=plain(f"{run.run_id}{status}  {what}".rstrip())))
@@ -195,7 +200,9 @@ def _panel(runs: Sequence[Run], title: str, names: Sequence[str], unit: str) -> 
                     style["label"] = f"{label} {k + 1}"
                 elif len(names) > 1:
                     style["label"] = label
-                curves.append(Curve(run.time, values, style))
+                turn = lines.TURN if shown == "deg" and run.is_angle(name) else 0.0
+                bounds = run.envelope(name)
+                curves.append(Curve(run.time, values, style, None if bounds is None else bounds * factor, turn))
     text = f"{symbols[0]} … {symbols[-1]}" if len(symbols) > 3 else ", ".join(symbols)
     return Panel(f"{text} [{_printed(shown)}]", curves, plain(title), down=_is_depth(_split(names[0])[1], unit))
 

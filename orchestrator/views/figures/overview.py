@@ -14,11 +14,12 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ... import metrics
-from ...records.compare.vehicles import Vehicle, vehicles
+from ...records.compare.vehicles import Vehicle, formation, vehicles
+from .. import lines
 from .panels import DENSE, DESIRED, GREY, MAX_POINTS, Curve, Panel, colour, plain, symbol, tint
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from ...arrays import Reals
@@ -51,9 +52,9 @@ def traces(runs: Sequence[Run]) -> list[Trace]:
     ]
 
 
-def keys(traces: Sequence[Trace]) -> list[Line2D]:
+def keys(traces: Sequence[Trace]) -> list[Artist]:
     """The legend: vehicles, and what the marks mean."""
-    handles = []
+    handles: list[Artist] = []
     several = len({trace.run for trace in traces}) > 1
     names = list(dict.fromkeys(trace.vehicle.name for trace in traces))
     if not several or len(names) > 1:
@@ -84,9 +85,22 @@ def rows(traces: Sequence[Trace]) -> list[list[Panel]]:
 
 
 def _state(traces: Sequence[Trace], axis: str, unit: str, factor: float, span: float) -> Panel:
-    actual = [Curve(t.time, t.vehicle.eta[axis] * factor, {"color": t.colour}) for t in traces]
-    desired = [Curve(t.time, t.vehicle.eta_d[axis] * factor, DESIRED) for t in traces if axis in t.vehicle.eta_d]
+    turn = lines.TURN if unit == "deg" else 0.0
+    actual = [
+        Curve(t.time, t.vehicle.eta[axis] * factor, {"color": t.colour}, _bounds(t, "eta", axis, factor), turn)
+        for t in traces
+    ]
+    desired = [
+        Curve(t.time, t.vehicle.eta_d[axis] * factor, DESIRED, _bounds(t, "eta_d", axis, factor), turn)
+        for t in traces
+        if axis in t.vehicle.eta_d
+    ]
     return Panel(f"{symbol(axis)} [{unit}]", actual + desired, down=axis == "z", span=span)
+
+
+def _bounds(trace: Trace, vector: str, axis: str, factor: float = 1.0) -> Reals | None:
+    bounds = trace.vehicle.bounds.get((vector, axis))
+    return None if bounds is None else bounds * factor
 
 
 def _error(traces: Sequence[Trace], axis: str) -> Panel:
@@ -99,29 +113,29 @@ def _error(traces: Sequence[Trace], axis: str) -> Panel:
 
 
 def _command(traces: Sequence[Trace], axis: str) -> Panel:
-    curves = [Curve(t.time, t.vehicle.u[axis], {"color": t.colour, **DENSE}) for t in traces if axis in t.vehicle.u]
+    curves = [
+        Curve(t.time, t.vehicle.u[axis], {"color": t.colour, **DENSE}, _bounds(t, "u", axis))
+        for t in traces
+        if axis in t.vehicle.u
+    ]
     return Panel(f"{symbol(axis)} [-]", curves, span=0.2, share="u")
 
 
 def _formation(traces: Sequence[Trace]) -> list[Panel]:
     """Of the two vehicles of a run: their distance, and the second's heading and depth relative to the first's."""
-    distance, heading, depth = [], [], []
+    curves: dict[str, list[Curve]] = {"distance": [], "heading": [], "depth": []}
     runs = list(dict.fromkeys(trace.run for trace in traces))
     for i in runs:
         pair = [trace for trace in traces if trace.run == i]
         if len(pair) != 2:
             continue
-        time, (one, two) = pair[0].time, (trace.vehicle.eta for trace in pair)
         style = {"color": pair[0].colour if len(runs) > 1 else GREY}
-        position, other = (np.column_stack([eta[axis] for axis in ("x", "y", "z")]) for eta in (two, one))
-        distance.append(Curve(time, metrics.distance(position, other), style))
-        angle = np.unwrap(two["psi"] - one["psi"]) * DEG
-        heading.append(Curve(time, angle - 360.0 * round(angle[0] / 360.0), style))
-        depth.append(Curve(time, two["z"] - one["z"], style))
+        for name, values in formation(pair[0].vehicle, pair[1].vehicle).items():
+            curves[name].append(Curve(pair[0].time, values * (DEG if name == "heading" else 1.0), style))
     return [
-        Panel("distance [m]", distance, span=0.1),
-        Panel(r"$\psi_2 - \psi_1$ [deg]", heading, span=1.05),
-        Panel("$z_2 - z_1$ [m]", depth, down=True, span=0.1),
+        Panel("distance [m]", curves["distance"], span=0.1),
+        Panel(r"$\psi_2 - \psi_1$ [deg]", curves["heading"], span=1.05),
+        Panel("$z_2 - z_1$ [m]", curves["depth"], down=True, span=0.1),
     ]
 
 

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
+
+from .. import lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,16 +51,24 @@ STYLE: Any = {
     "pdf.fonttype": 42,
 }
 MAX_POINTS = 5000  # of a line; a longer signal is thinned to the extremes of each stretch
+MAX_STEPS = 1500  # of a band: more than a panel has pixels across
+BAND: dict[str, Any] = {"alpha": 0.3, "linewidth": 0.7}  # with an edge, so that one row among thousands is seen
 SYMBOLS = {"phi": r"\phi", "theta": r"\theta", "psi": r"\psi"}
 
 
 @dataclass(frozen=True)
 class Curve:
-    """values over time, both (N,), in the panel's unit.  style: of matplotlib's plot."""
+    """values over time, both (N,), in the panel's unit.
+
+    style: of matplotlib's plot.  bounds: (N, 2), the least and the greatest value since the row before, where they are
+    recorded.  turn: of an angle, 360 in degrees; 0 of anything else.
+    """
 
     time: Reals
     values: Reals
     style: dict[str, Any]
+    bounds: Reals | None = None
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +119,9 @@ def draw_rows(figure: Figure, rows: Sequence[Sequence[Panel]]) -> list[Axes]:
 def _draw(ax: Axes, panel: Panel) -> None:
     for curve in panel.curves:
         marker: dict[str, Any] = {"marker": "."} if len(curve.time) == 1 else {}
-        ax.plot(*_thin(curve.time, curve.values), **curve.style, **marker)
+        ax.plot(*lines.line(curve.time, curve.values, MAX_POINTS, curve.turn), **curve.style, **marker)
+        if curve.bounds is not None:
+            _draw_band(ax, lines.band(curve.time, curve.values, curve.bounds, MAX_STEPS, curve.turn), curve.style)
     low, high = ax.get_ylim()
     if high - low < panel.span:
         middle = (low + high) / 2
@@ -129,17 +142,17 @@ def _draw(ax: Axes, panel: Panel) -> None:
         )
 
 
-def _thin(time: Reals, values: Reals) -> tuple[Reals, Reals]:
-    """At most MAX_POINTS of (N,): the lowest and the highest of each stretch, so that no peak is lost."""
-    length = 2 * -(-len(values) // MAX_POINTS)
-    if length <= 2:
-        return time, values
-    whole = len(values) // length * length
-    stretches = values[:whole].reshape(-1, length)
-    first = np.arange(0, whole, length)
-    chosen = np.concatenate([first + stretches.argmin(axis=1), first + stretches.argmax(axis=1), [0, len(values) - 1]])
-    chosen = np.unique(chosen)
-    return time[chosen], values[chosen]
+def _draw_band(ax: Axes, band: lines.Band, style: dict[str, Any]) -> None:
+    """Fill a band, below all lines."""
+    if len(band.least):
+        hue = style["color"]
+        patch = ax.stairs(band.greatest, band.edges, baseline=band.least, fill=True, fc=hue, ec=hue, **BAND)
+        patch.sticky_edges.y.clear()  # it is no histogram that stands on its axis
+
+
+def band_key() -> Patch:
+    """What the legend says of bands, once for all."""
+    return Patch(color=GREY, label=lines.BAND, **BAND)
 
 
 def colour(k: int, lightness: int = 0) -> Any:
