@@ -3,15 +3,19 @@
 import json
 import re
 import shutil
+import tomllib
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 
 import h5py
 import numpy as np
 import pytest
 
 import orchestrator
-from experiments import EXPERIMENTS
+from experiments import EXPERIMENTS, merged, toml
+from fmu_files import SOURCES
 from orchestrator.errors import OrchError, StoreError
+from orchestrator.models import build
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.drawing import draw
 
@@ -94,9 +98,27 @@ class Figure:
                     elif below.get("id", "").startswith("text"):
                         self.panels[_texts(below)[0]] = ticks
 
+    def values(self, label, style):
+        """[(x in the picture, value)] of each subpath whose style has a text, of the panel with that label."""
+        ax = self.axes[list(self.panels).index(label)]
+        (low, below), *_, (high, above) = sorted(self.panels[label].items())
+        paths = []
+        for path in ax.iter(f"{SVG}path"):
+            if style in path.get("style", "") and len(points := re.findall(r"([ML]) (\S+) (\S+)", path.get("d"))) > 2:
+                for letter, x, y in points:
+                    if letter == "M":
+                        paths.append([])
+                    paths[-1].append((float(x), low + (float(y) - below) / (above - below) * (high - low)))
+        return paths
+
     def points_down(self, label):
         ticks = sorted(self.panels[label].items())
         return ticks[0][1] < ticks[-1][1]
+
+
+BAND = "opacity: 0.3"  # in the style of a band
+KEY = "least to greatest between rows"
+LINE = "fill: none; stroke: #0072b2"
 
 
 def _texts(element):
@@ -260,6 +282,7 @@ def test_a_long_signal_is_thinned_without_losing_its_peak(changed, spiral_run, t
     rows = 200_000
 
     def lengthen(file):
+        del file["_envelope"]
         values = np.sin(np.arange(rows))
         values[123_456] = 1e3
         for name, array in (("time", np.arange(rows) * 1e-3), ("allocation/u.T1", values)):
@@ -271,3 +294,117 @@ def test_a_long_signal_is_thinned_without_losing_its_peak(changed, spiral_run, t
     path = draw([changed(spiral_run, lengthen)], tmp_path / "f.svg", ["allocation.u.T1"])
     assert max(Figure(path).panels["$T_{1}$ [-]"]) >= 750
     assert path.stat().st_size < 500_000
+
+
+# --- Bands and angles -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def chattering_run(folder):
+    """A relay at a step that is too long for it: the commands alternate from step to step, and a row is ten steps."""
+    changes = {"record.every": 0.01, "master.stop_time": 10.0}
+    path = EXPERIMENTS / "spiral_pid.toml"
+    return orchestrator.run(path, changes, {"controller": "mfsosmc"}, output=folder / "chattering.h5")
+
+
+@pytest.fixture(scope="module")
+def turning_run(folder):
+    """A reference that turns by 3 rad/s and wraps at half a turn, with its envelope; the vehicle is left behind."""
+    turning = build.build([str(SOURCES / "turning.py")])["turning"]
+    table = tomllib.loads((EXPERIMENTS / "spiral_pid.toml").read_text())
+    changes = {
+        "master.stop_time": 5.0,
+        "components.reference": {"fmu": str(turning), "parameters": {"psi_0": 0.0, "rate": 3.0, "wraps": True}},
+        "record": {"every": 0.01, "envelope": ["reference.eta_d"]},
+        "metrics": {},
+    }
+    path = folder / "turning.toml"
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in merged(table, changes).items()))
+    return orchestrator.run(path, output=folder / "turning.h5")
+
+
+def test_a_band_shows_the_oscillation_that_rows_do_not(chattering_run, tmp_path):
+    rows, envelope = chattering_run["allocation.u.T1"][1:], chattering_run.envelope("allocation.u.T1")[1:]
+    assert rows.min() > 0.0  # as if it pushed one way only
+    assert envelope.min() == -1.0
+    for signals, label in (((), "$T_{1}$ [-]"), (["allocation.u.T1"], "$T_{1}$ [-]")):
+        figure = Figure(draw([chattering_run], tmp_path / "f.svg", signals))
+        (band,) = figure.values(label, BAND)
+        values = [value for _, value in band]
+        assert min(values) == pytest.approx(envelope.min(), abs=0.01)  # px
+        assert max(values) == pytest.approx(envelope.max(), abs=0.01)
+        assert figure.texts.count(KEY) == 1
+
+
+def test_the_band_of_a_row_lies_over_the_steps_since_the_row_before(chattering_run, changed, tmp_path):
+    rows = 11
+
+    def pulse(file):
+        file["time"].resize((rows,))
+        values = np.zeros((rows, 2))
+        values[5] = -0.5, 0.25
+        file["allocation/u.T1"][:rows], file["_envelope/allocation/u.T1"][:rows] = 0.0, values
+
+    run = changed(chattering_run, pulse)
+    figure = Figure(draw([run], tmp_path / "f.svg", ["allocation.u.T1"]))
+    ((*band, _),) = figure.values("$T_{1}$ [-]", BAND)
+    left, right = min(x for x, _ in band), max(x for x, _ in band)
+    wide = {round((x - left) / (right - left) * (rows - 1), 2) for x, value in band if abs(value) > 0.2}
+    assert wide == {4.0, 5.0}
+
+
+def test_the_band_follows_the_scale_of_a_connection(chattering_run, changed):
+    def scale(file):
+        resolved = json.loads(file.attrs["experiment_resolved"])
+        for pair in resolved["connections"]:
+            if pair[0] == "vehicle.u.T1":
+                pair[2:] = [-2.0, 0.5]
+        file.attrs["experiment_resolved"] = json.dumps(resolved)
+
+    (vehicle,) = vehicles(changed(chattering_run, scale))
+    least, greatest = chattering_run.envelope("allocation.u.T1").T
+    assert (vehicle.bounds["u", "T1"] == np.column_stack([0.5 - 2 * greatest, 0.5 - 2 * least])).all()
+    (plain,) = vehicles(chattering_run)
+    assert (plain.bounds["u", "T2"] == chattering_run.envelope("allocation.u.T2")).all()
+
+
+def test_a_run_that_records_every_step_or_no_envelope_has_no_band(spiral_figure, orch, write, spiral, tmp_path):
+    assert KEY in spiral_figure.texts  # every 10 steps
+    changes = ({"record.every": 1e-3}, {"record.envelope": False})
+    for change in changes:
+        assert orch("run", write(merged(spiral, change)), "-o", "f.h5").code == 0
+        assert orch("plot", "f.h5", "-o", "f.svg").code == 0
+        assert KEY not in Figure(tmp_path / "f.svg").texts
+
+
+def test_an_angle_that_wraps_leaves_a_gap(turning_run, tmp_path):
+    """Also in its band: of what was on both ends of a turn, neither end is between."""
+    wraps = int((abs(np.diff(turning_run["reference.eta_d.psi"])) > np.pi).sum())
+    assert wraps == 2
+    figure = Figure(draw([turning_run], tmp_path / "f.svg", ["reference.eta_d.psi"]))
+    pieces = figure.values(r"$\psi$ [deg]", LINE)
+    assert len(pieces) == wraps + 1
+    bands = figure.values(r"$\psi$ [deg]", BAND)
+    assert len(bands) == wraps + 1
+    for piece in (*pieces, *bands):
+        assert max(abs(b - a) for (_, a), (_, b) in pairwise(piece)) < 180.0
+    overview = Figure(draw([turning_run], tmp_path / "g.svg"))
+    for piece in overview.values(r"$\psi$ [deg]", "stroke-dasharray"):
+        assert max(abs(b - a) for (_, a), (_, b) in pairwise(piece)) < 180.0
+
+
+def test_a_number_that_is_no_angle_is_drawn_with_its_jumps(turning_run, changed, tmp_path):
+    def forget(file):
+        del file["reference/eta_d.psi"].attrs["quantity"]
+
+    figure = Figure(draw([changed(turning_run, forget)], tmp_path / "f.svg", ["reference.eta_d.psi"]))
+    assert len(figure.values(r"$\psi$ [deg]", LINE)) == 1
+
+
+def test_a_gap_in_a_signal_stays_one(changed, chattering_run, tmp_path):
+    def cut(file):
+        file["allocation/u.T1"][300:500] = np.nan
+        file["_envelope/allocation/u.T1"][300:500] = np.nan
+
+    figure = Figure(draw([changed(chattering_run, cut)], tmp_path / "f.svg", ["allocation.u.T1"]))
+    assert len(figure.values("$T_{1}$ [-]", BAND)) == 2

@@ -16,8 +16,8 @@ from experiments import EXPERIMENTS
 from orchestrator.errors import OrchError
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.diagram import diagram
+from orchestrator.views.lines import thin
 from orchestrator.views.report import page as report
-from orchestrator.views.report.packing import thin
 from orchestrator.views.report.scene import gripped
 
 pytest.importorskip("plotly")
@@ -534,4 +534,4 @@ def test_thinning_keeps_peaks_ends_and_steps():
     assert len(rows) <= 3000
     assert {0, 77_777, 123_456, 199_999} <= {*rows}
     assert (np.diff(rows) > 0).all()
-    assert list(thin(np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]))) == [0, 2, 3, 5]
+    assert list(thin(np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]), 3000)) == [0, 2, 3, 5]

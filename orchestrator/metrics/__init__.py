@@ -3,7 +3,7 @@
 `specs` says what an entry of [metrics] may be; `accumulators` has the definitions, `thrusters` what power thrust takes.
 """
 
-from .accumulators import distance, overshoot, settling_time
+from .accumulators import distance, on_circle, overshoot, settling_time
 from .specs import METRICS, STATISTICS, Meter, finite, problems, signals_of, smaller_is_better, text, unit_of
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Meter",
     "distance",
     "finite",
+    "on_circle",
     "overshoot",
     "problems",
     "settling_time",

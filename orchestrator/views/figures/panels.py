@@ -143,11 +143,11 @@ def _draw(ax: Axes, panel: Panel) -> None:
 
 
 def _draw_band(ax: Axes, band: lines.Band, style: dict[str, Any]) -> None:
-    """Fill a band, below all lines."""
-    if len(band.least):
-        hue = style["color"]
-        patch = ax.stairs(band.greatest, band.edges, baseline=band.least, fill=True, fc=hue, ec=hue, **BAND)
-        patch.sticky_edges.y.clear()  # it is no histogram that stands on its axis
+    """Fill a band below all lines, each stretch without a gap as a shape of its own."""
+    for first, end in np.flatnonzero(np.diff(np.r_[False, ~np.isnan(band.least), False])).reshape(-1, 2):
+        x = np.repeat(band.edges[first : end + 1], 2)[1:-1]
+        y = np.r_[np.repeat(band.greatest[first:end], 2), np.repeat(band.least[first:end], 2)[::-1]]
+        ax.fill(np.r_[x, x[::-1]], y, color=style["color"], **BAND)
 
 
 def band_key() -> Patch:

@@ -6,17 +6,18 @@ shades of it; where there is one run, each vehicle has a colour: as in the figur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import metrics
 from ...fmu.units import readable
+from ...metrics import on_circle
 from ...names import split_axis
-from ...records.compare.vehicles import AXES, Vehicle
+from ...records.compare.vehicles import AXES, Vehicle, formation
+from .. import lines
 from .colours import colours
-from .packing import packed, thin
+from .packing import packed
 
 if TYPE_CHECKING:
     from ...arrays import Reals
@@ -27,6 +28,9 @@ DEG = 180.0 / np.pi
 LETTERS = {"phi": "φ", "theta": "θ", "psi": "ψ"}
 LEAST = {"m": 0.1, "deg": 1.0}  # extent of a state's axis: rest is drawn as rest, not as micrometres of motion
 MAX_PANELS = 60  # of a run without vehicles
+MAX_POINTS = 3000  # of a curve; what a screen shows, and few enough for a page of 8 MB
+MAX_STEPS = 1000  # of a band
+BAND = "band"  # the key of all bands
 Fleet = Sequence[tuple["Run", list[Vehicle]]]  # every run with its vehicles
 
 
@@ -54,8 +58,14 @@ def keys(fleet: Fleet, labels: Sequence[str]) -> list[dict[str, Any]]:
     if not several or len(names) > 1:
         buttons += [{"key": n, "label": n, "colour": None if several else colours(k, 0)} for k, n in enumerate(names)]
     if any(vehicle.eta_d for _, vehicles in fleet for vehicle in vehicles):
-        buttons.append({"key": "desired", "label": "reference", "colour": None, "dashed": True})
+        buttons.append({"key": "desired", "label": "reference", "colour": None, "shape": "dashed"})
     return buttons
+
+
+def band_keys(groups: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The button of the bands, where there are any."""
+    drawn = any("band" in curve for group in groups for panel in group["panels"] for curve in panel["curves"])
+    return [{"key": BAND, "label": lines.BAND, "colour": None, "shape": "band"}] if drawn else []
 
 
 def vehicle_colours(fleet: Fleet, run: int, name: str) -> list[str]:
@@ -70,10 +80,11 @@ def _states(fleet: Fleet) -> list[dict[str, Any]]:
         unit, factor = ("deg", DEG) if axis in LETTERS else ("m", 1.0)
         curves = []
         for i, run, vehicle in _each(fleet):
-            curves.append(_curve(fleet, i, vehicle.name, run.time, vehicle.eta[axis] * factor))
-            if axis in vehicle.eta_d:
-                desired = vehicle.eta_d[axis] * factor
-                curves.append(_curve(fleet, i, vehicle.name, run.time, desired, desired=True))
+            for vector, values in (("eta", vehicle.eta), ("eta_d", vehicle.eta_d)):
+                if axis in values:
+                    bounds = vehicle.bounds.get((vector, axis))
+                    points = _points(run.time, values[axis], bounds, factor, turning=axis in LETTERS)
+                    curves.append(_curve(fleet, i, vehicle.name, points, desired=vector == "eta_d"))
         panels.append(_panel(LETTERS.get(axis, axis), unit, curves, least=LEAST[unit], down=axis == "z"))
     return panels
 
@@ -84,12 +95,20 @@ def _errors(fleet: Fleet) -> list[dict[str, Any]]:
         unit, factor = ("deg", DEG) if axis in LETTERS else ("m", 1.0)
         letter = LETTERS.get(axis, axis)
         curves = [
-            _curve(fleet, i, vehicle.name, run.time, (vehicle.eta[axis] - vehicle.eta_d[axis]) * factor)
+            _curve(
+                fleet, i, vehicle.name, _points(run.time, _error(vehicle, axis), None, factor, turning=axis in LETTERS)
+            )
             for i, run, vehicle in _each(fleet)
             if axis in vehicle.eta_d
         ]
         panels.append(_panel(f"{letter} - {letter}_d", unit, curves, down=axis == "z"))
     return [panel for panel in panels if panel["curves"]]
+
+
+def _error(vehicle: Vehicle, axis: str) -> Reals:
+    """eta - eta_d of an axis, of an angle on the circle, (N,) [m, rad]."""
+    difference = vehicle.eta[axis] - vehicle.eta_d[axis]
+    return on_circle(difference, 2 * np.pi) if axis in LETTERS else difference
 
 
 def _thrusters(fleet: Fleet) -> list[dict[str, Any]]:
@@ -99,7 +118,7 @@ def _thrusters(fleet: Fleet) -> list[dict[str, Any]]:
             axis,
             "1",
             [
-                _curve(fleet, i, vehicle.name, run.time, vehicle.u[axis])
+                _curve(fleet, i, vehicle.name, _points(run.time, vehicle.u[axis], vehicle.bounds.get(("u", axis))))
                 for i, run, vehicle in _each(fleet)
                 if axis in vehicle.u
             ],
@@ -114,12 +133,9 @@ def _formation(fleet: Fleet) -> list[dict[str, Any]]:
     for i, (run, vehicles) in enumerate(fleet):
         if len(vehicles) != 2:
             continue
-        first, second = (vehicle.eta for vehicle in vehicles)
-        ends = [np.column_stack([eta[axis] for axis in "xyz"]) for eta in (first, second)]
-        turn = (second["psi"] - first["psi"]) * DEG
-        values = {"distance": metrics.distance(*ends), "heading": turn, "depth": second["z"] - first["z"]}
-        for name, array in values.items():
-            rows[name].append(_curve(fleet, i, vehicles[0].name, run.time, array, keys=[f"run{i}"]))
+        for name, values in formation(*vehicles).items():
+            points = _points(run.time, values, factor=DEG if name == "heading" else 1.0)
+            rows[name].append(_curve(fleet, i, vehicles[0].name, points, keys=[f"run{i}"]))
     panels = [
         _panel("distance", "m", rows["distance"], least=0.1),
         _panel("ψ₂ - ψ₁", "deg", rows["heading"], least=1.0),
@@ -133,9 +149,9 @@ def _velocities(fleet: Fleet) -> list[dict[str, Any]]:
     for axis in "uvwpqr":
         unit, factor = ("m/s", 1.0) if axis in "uvw" else ("deg/s", DEG)
         curves = [
-            _curve(fleet, i, vehicle.name, run.time, run[f"{vehicle.name}.nu.{axis}"] * factor)
+            _curve(fleet, i, vehicle.name, _points(run.time, run[name], run.envelope(name), factor))
             for i, run, vehicle in _each(fleet)
-            if f"{vehicle.name}.nu.{axis}" in run.signals
+            if (name := f"{vehicle.name}.nu.{axis}") in run.signals
         ]
         panels.append(_panel(axis, unit, curves))
     return [panel for panel in panels if panel["curves"]]
@@ -156,8 +172,9 @@ def _signals(runs: Sequence[Run]) -> list[dict[str, Any]]:
             title = name if len(runs) > 1 or (axis == "z" and unit == "m") else f"{component}.{head}"
             panel = panels.setdefault((title, unit), _panel(title, shown, [], down=axis == "z"))
             tone = colours(i if len(runs) > 1 else len(panel["curves"]), 0)
-            curve = _points(run.time, values * factor) | {"name": axis or head, "keys": [f"run{i}"], "colour": tone}
-            panel["curves"].append(curve)
+            turning = shown == "deg" and run.is_angle(name)
+            points = _points(run.time, values, run.envelope(name), factor, turning)
+            panel["curves"].append(points | {"name": axis or head, "keys": [f"run{i}"], "colour": tone})
     for panel in panels.values():
         panel["legend"] = len(runs) == 1 and len(panel["curves"]) > 1
     note = f"The first {MAX_PANELS} of {len(panels)} panels." if len(panels) > MAX_PANELS else "As recorded."
@@ -180,8 +197,7 @@ def _curve(
     fleet: Fleet,
     run: int,
     vehicle: str,
-    time: Reals,
-    values: Reals,
+    points: Mapping[str, Any],
     desired: bool = False,
     keys: Sequence[str] | None = None,
 ) -> dict[str, Any]:
@@ -192,9 +208,21 @@ def _curve(
         "colour": vehicle_colours(fleet, run, vehicle),
         "desired": desired,
     }
-    return _points(time, values) | own
+    return {**points, **own}
 
 
-def _points(time: Reals, values: Reals) -> dict[str, Any]:
-    rows = thin(np.asarray(values, float))
-    return {"t": packed(time[rows]), "y": packed(values[rows])}
+def _points(
+    time: Reals, values: Reals, bounds: Reals | None = None, factor: float = 1.0, turning: bool = False
+) -> dict[str, Any]:
+    """A line and its band.
+
+    bounds: (N, 2), the least and the greatest since the row before.  factor: from both to what is shown.  turning:
+    whether these are angles, in degrees then.
+    """
+    turn, values = lines.TURN if turning else 0.0, np.asarray(values, float) * factor
+    t, y = lines.line(time, values, MAX_POINTS, turn)
+    points: dict[str, Any] = {"t": packed(t), "y": packed(y)}
+    if bounds is not None:
+        band = lines.band(time, values, bounds * factor, MAX_STEPS, turn)
+        points["band"] = {name: packed(array) for name, array in band._asdict().items()}
+    return points

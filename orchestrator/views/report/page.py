@@ -43,10 +43,11 @@ def page(runs: Sequence[Run]) -> str:
     ]
     fleet = [(run, vehicles(run)) for run in runs if len(run.time)]
     shown = [label for run, label in zip(runs, labels, strict=True) if len(run.time)]
+    groups = curves.groups(fleet)
     data = {
         "runs": [{"id": run.run_id, "colour": colours(i, 0)} for i, run in enumerate(runs)],
-        "keys": curves.keys(fleet, shown),
-        "groups": curves.groups(fleet),
+        "keys": [*curves.keys(fleet, shown), *curves.band_keys(groups)],
+        "groups": groups,
         "replay": scene.replay(fleet),
     }
     titles = list(dict.fromkeys(map(facts.title_of, runs)))

@@ -20,6 +20,12 @@ function extent(panel, [from, to]) {
       if (curve.y[i] < low) low = curve.y[i];
       if (curve.y[i] > high) high = curve.y[i];
     }
+    if (!curve.band || !shows(["band"])) continue;
+    const { edges, least, greatest } = curve.band;
+    for (let k = indexAt(edges, from); k < least.length && edges[k] < to; k++) {
+      if (least[k] < low) low = least[k];
+      if (greatest[k] > high) high = greatest[k];
+    }
   }
   if (low > high) [low, high] = [-1, 1];
   const least = Math.max(panel.least, 1e-12, 1e-6 * Math.max(Math.abs(low), Math.abs(high)));
@@ -27,12 +33,37 @@ function extent(panel, [from, to]) {
   return panel.down ? [high + more, low - more] : [low - more, high + more];
 }
 
+/** The outline of a band, from step to step there and back; each stretch without a gap is closed by itself. */
+function outline({ edges, least, greatest }) {
+  const x = [], y = [];
+  for (let first = 0; first < least.length; ) {
+    if (Number.isNaN(least[first])) { first++; continue; }
+    let end = first;
+    while (end < least.length && !Number.isNaN(least[end])) end++;
+    for (let k = first; k < end; k++) { x.push(edges[k], edges[k + 1]); y.push(greatest[k], greatest[k]); }
+    for (let k = end - 1; k >= first; k--) { x.push(edges[k + 1], edges[k]); y.push(least[k], least[k]); }
+    x.push(edges[first], null);
+    y.push(greatest[first], null);
+    first = end;
+  }
+  return { x, y };
+}
+
+function bandTrace(curve) {
+  const colour = curve.desired ? ink("reference") : tone(curve.colour);
+  return {
+    type: "scatter", mode: "lines", ...outline(curve.band), fill: "toself", fillcolor: faint(colour, 0.28),
+    line: { color: faint(colour, 0.4), width: 0.8 }, visible: shows([...curve.keys, "band"]), showlegend: false, hoverinfo: "skip",
+  };
+}
+
 function traces(panel) {
-  return panel.curves.map((curve) => ({
+  const bands = panel.curves.filter((curve) => curve.band).map(bandTrace);
+  return bands.concat(panel.curves.map((curve) => ({
     type: "scatter", mode: curve.t.length === 1 ? "markers" : "lines", name: curve.name, x: curve.t, y: curve.y,
     visible: shows(curve.keys), showlegend: panel.legend, hovertemplate: "%{y:.5g}",
     line: curve.desired ? { color: ink("reference"), width: 1.1, dash: "5px,4px" } : { color: tone(curve.colour), width: 1.6 },
-  }));
+  })));
 }
 
 function layout(panel) {
@@ -117,8 +148,8 @@ function mark(entry) {
 }
 
 function makeLegend() {
-  for (const { key, label, colour, dashed } of data.keys) {
-    const chip = make("i", { class: dashed ? "chip dashed" : "chip", "data-colour": JSON.stringify(colour) });
+  for (const { key, label, colour, shape } of data.keys) {
+    const chip = make("i", { class: shape ? `chip ${shape}` : "chip", "data-colour": JSON.stringify(colour) });
     const button = make("button", { type: "button", "aria-pressed": "true", "data-key": key }, chip, label);
     button.addEventListener("click", () => {
       toggle(key);

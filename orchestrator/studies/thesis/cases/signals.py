@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,7 +28,7 @@ class Vectors(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """What one vehicle did.  time: (N,) [s]; every other array (N, 6)."""
+    """What one vehicle did.  time: (N,) [s]; every other array (N, 6), but for `bounds`."""
 
     time: Array
     eta: Array  # NED position and Euler angles [m, deg]
@@ -36,6 +37,7 @@ class Track:
     nu_d: Array  # the one that keeps to eta_d at the actual attitude
     tau: Array  # generalized force of the thrusters, after saturation, BODY [N, N.m]
     u: Array  # normalized thruster commands T1 .. T6
+    bounds: Mapping[str, Array] = field(default_factory=dict)  # least and greatest since the row before, {"T1": (N, 2)}
 
     @property
     def error(self) -> Array:

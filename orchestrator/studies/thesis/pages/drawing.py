@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 
 from ....records.file.run import Run
 from ....views import figures
-from ....views.figures.panels import DENSE, DESIRED, OKABE_ITO, Curve, Panel, draw_rows, symbol
+from ....views.figures.panels import DENSE, DESIRED, OKABE_ITO, Curve, Panel, band_key, draw_rows, symbol
 from ..cases import signals
 from ..cases.chapter5 import CASES
 from ..cases.signals import Array, Track
@@ -34,6 +36,7 @@ QUANTITIES = {  # Track's attributes, columns, names, units, least extent
     "angular_velocity": ("nu", "nu_d", 3, ("p", "q", "r"), "deg/s", 0.5),
 }
 FORCES = (("X", "N"), ("Y", "N"), ("Z", "N"), ("K", "N m"), ("M", "N m"), ("N", "N m"))
+THRUSTERS = tuple(f"T{k}" for k in range(1, 7))
 BODY_AXES = ("#D62728", "#2CA02C", "#7A3FB0")  # x red, as in the thesis
 FRAMES_AT = (0.0, 6.0, 12.0, 18.0, 24.0, 30.0, 40.0)  # s
 HELD = (12.0, 24.0)  # s
@@ -58,7 +61,15 @@ def main() -> None:
 def _tracks(case: str, record: str) -> list[Track]:
     with Run(record) as run:
         numbers = [""] if CASES[case].task == "spiral" else ["1", "2"]
-        return [signals.track(run, number) for number in numbers]
+        return [replace(signals.track(run, number), bounds=_bounds(run, number)) for number in numbers]
+
+
+def _bounds(run: Run, number: str) -> dict[str, Array]:
+    """The envelopes of the forces and the commands of a vehicle, as `Track.bounds`."""
+    names = [f"vehicle{number}.tau.{axis}" for axis, _ in FORCES]
+    names += [f"allocation{number}.u.{axis}" for axis in THRUSTERS]
+    envelopes = {name.rpartition(".")[2]: run.envelope(name) for name in names}
+    return {axis: bounds for axis, bounds in envelopes.items() if bounds is not None}
 
 
 def write(drawn: Canvas, stem: Path) -> None:
@@ -125,27 +136,31 @@ def _forces(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     panels = [
         Panel(
             f"${name}$ [{unit}]",
-            [Curve(track.time, track.tau[:, k], {"color": OKABE_ITO[0], **DENSE})],
+            [Curve(track.time, track.tau[:, k], {"color": OKABE_ITO[0], **DENSE}, track.bounds.get(name))],
             span=2.0 if unit == "N" else 0.2,
         )
         for k, (name, unit) in enumerate(FORCES)
     ]
     rows = [[force, moment] for force, moment in zip(panels[:3], panels[3:], strict=True)]
-    return _over_time(rows, [], height=1.5, width=8.5)
+    return _over_time(rows, _band_keys(track), height=1.5, width=8.5)
 
 
 def _commands(figure: ThesisFigure, tracks: Tracks) -> Canvas:
     (track,) = tracks[figure.cases[0]]
     panels = [
         Panel(
-            f"{symbol(f'T{k + 1}')} [-]",
-            [Curve(track.time, track.u[:, k], {"color": OKABE_ITO[0], **DENSE})],
+            f"{symbol(name)} [-]",
+            [Curve(track.time, track.u[:, k], {"color": OKABE_ITO[0], **DENSE}, track.bounds.get(name))],
             share="u",
             span=2.1,
         )
-        for k in range(6)
+        for k, name in enumerate(THRUSTERS)
     ]
-    return _over_time([[panels[i], panels[i + 1]] for i in (0, 2, 4)], [], height=1.5, width=8.5)
+    return _over_time([[panels[i], panels[i + 1]] for i in (0, 2, 4)], _band_keys(track), height=1.5, width=8.5)
+
+
+def _band_keys(track: Track) -> list[Artist]:
+    return [band_key()] if track.bounds else []
 
 
 def _errors(figure: ThesisFigure, tracks: Tracks) -> Canvas:
@@ -257,7 +272,7 @@ def _frames(ax: Any, track: Track, above: bool, length: float) -> None:
             ax.plot(*ends[: 2 if above else 3], color=hue, linewidth=1.6, zorder=5)
 
 
-def _over_time(rows: list[list[Panel]], keys: list[Line2D], height: float, width: float = 7.0) -> Canvas:
+def _over_time(rows: list[list[Panel]], keys: Sequence[Artist], height: float, width: float = 7.0) -> Canvas:
     drawn = Canvas(figsize=(width, 0.5 + height * len(rows) + (0.3 if keys else 0.0)), layout="constrained")
     draw_rows(drawn, rows)
     if keys:
