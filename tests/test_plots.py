@@ -347,8 +347,8 @@ def test_the_band_of_a_row_lies_over_the_steps_since_the_row_before(chattering_r
 
     run = changed(chattering_run, pulse)
     figure = Figure(draw([run], tmp_path / "f.svg", ["allocation.u.T1"]))
-    ((*band, _),) = figure.values("$T_{1}$ [-]", BAND)
-    left, right = min(x for x, _ in band), max(x for x, _ in band)
+    (band,), (line,) = (figure.values("$T_{1}$ [-]", style) for style in (BAND, LINE))
+    left, right = line[0][0], line[-1][0]
     wide = {round((x - left) / (right - left) * (rows - 1), 2) for x, value in band if abs(value) > 0.2}
     assert wide == {4.0, 5.0}
 
@@ -396,6 +396,16 @@ def test_an_angle_that_wraps_leaves_a_gap(turning_run, tmp_path):
     desired = overview.values(r"$\psi$ [deg]", "stroke-dasharray")
     assert len(desired) == wraps + 1
     assert not any(map(jumps, desired))
+
+
+def test_an_angle_that_wraps_there_and_back_between_rows_has_no_band_there(turning_run, changed, tmp_path):
+    def sway(file):
+        file["reference/eta_d.psi"][50:54] = 3.13
+        file["_envelope/reference/eta_d.psi"][52] = -3.14, 3.14
+
+    figure = Figure(draw([changed(turning_run, sway)], tmp_path / "f.svg", ["reference.eta_d.psi"]))
+    assert len(figure.values(r"$\psi$ [deg]", BAND)) == 4
+    assert len(figure.values(r"$\psi$ [deg]", LINE)) == 3
 
 
 def test_a_number_that_is_no_angle_is_drawn_with_its_jumps(turning_run, changed, tmp_path):

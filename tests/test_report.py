@@ -1,5 +1,6 @@
 """orch report: the page in a browser, its numbers against the record, and what it does without a piece."""
 
+import base64
 import json
 import re
 import shutil
@@ -17,6 +18,7 @@ from orchestrator.errors import OrchError
 from orchestrator.records.compare.vehicles import vehicles
 from orchestrator.views.figures.diagram import diagram
 from orchestrator.views.lines import thin
+from orchestrator.views.report import curves
 from orchestrator.views.report import page as report
 from orchestrator.views.report.scene import gripped
 
@@ -60,6 +62,14 @@ def gripping_run(folder):
 @pytest.fixture(scope="module")
 def spiral_run(folder):
     return orchestrator.run(EXPERIMENTS / "spiral_pid.toml", {"master.stop_time": 4.0}, output=folder / "spiral.h5")
+
+
+@pytest.fixture(scope="module")
+def chattering_run(folder):
+    """A relay at a step that is too long for it: the commands alternate from step to step, and a row is ten steps."""
+    changes = {"record.every": 0.01, "master.stop_time": 4.0}
+    path = EXPERIMENTS / "spiral_pid.toml"
+    return orchestrator.run(path, changes, {"controller": "mfsosmc"}, output=folder / "chattering.h5")
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +145,11 @@ def draw_all(page):
     """Have every panel drawn, as when the reader has been everywhere."""
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     until(page, "document.querySelectorAll('.plot').length === " + ZOOMED + ".length")
+
+
+def unpacked(numbers):
+    """What the page's script makes of an array."""
+    return np.frombuffer(base64.b64decode(numbers["f4"]), "<f4")
 
 
 def text(html):
@@ -321,6 +336,25 @@ def test_the_legend_hides_a_vehicle_in_the_plots_and_in_the_replay(opened, writt
 
 
 @needs_chromium
+def test_a_band_shows_the_oscillation_that_rows_do_not_and_can_be_hidden(opened, written, chattering_run):
+    page = opened(written(chattering_run))
+    envelope = chattering_run.envelope("allocation.u.T1")[1:]
+    assert envelope.min() == -1.0
+    assert chattering_run["allocation.u.T1"][1:].min() > 0.0  # as if it pushed one way only
+    draw_all(page)
+    plot = "document.querySelector('[aria-label=\"Thruster commands: T1 over time\"]')"
+    data = page.evaluate(f"{plot}.data.map((trace) => [trace.fill ?? '', ...trace.y])")
+    (_, *line), (fill, *band) = data
+    assert fill == "toself"
+    assert min(line[1:]) > 0.0
+    assert (min(band[:-1]), max(band[:-1])) == (-1.0, 1.0)
+    assert page.evaluate(f"{plot}.layout.yaxis.range")[0] < -1.0
+    page.get_by_role("button", name="least to greatest between rows").click()
+    assert page.evaluate(f"{plot}.data.map((trace) => trace.visible)") == [True, False]
+    assert page.evaluate(f"{plot}.layout.yaxis.range")[0] > -1.0
+
+
+@needs_chromium
 def test_plots_follow_the_dark_mode(opened, written, spiral_run):
     page = opened(written(spiral_run), color_scheme="light")
     draw_all(page)
@@ -392,7 +426,8 @@ def test_a_run_without_vehicles_has_plots_and_no_replay(opened, changed, spiral_
     assert page.locator("figcaption").all_inner_texts() == ["allocation.u", "current.v_c [m/s]"]
     page.locator(".plot").first.scroll_into_view_if_needed()
     until(page, f"{ZOOMED}.length > 0")
-    assert page.evaluate(f"{ZOOMED}[0].data.map((trace) => trace.name)") == [f"T{i}" for i in range(1, 7)]
+    names = f"{ZOOMED}[0].data.map((trace) => trace.name).filter((name) => name)"  # a band has none
+    assert page.evaluate(names) == [f"T{i}" for i in range(1, 7)]
 
 
 @needs_chromium
@@ -525,6 +560,21 @@ def test_a_system_that_is_all_feedback_is_drawn():
     assert svg.count('class="arrow') == 4
     assert "b&lt;" in svg
     assert "b<" not in svg
+
+
+def test_errors_and_formations_of_headings_do_not_jump_by_a_turn(changed, gripping_run):
+    """A reference and a vehicle that count turns otherwise are near each other all the same."""
+
+    def turn(file):
+        file["vehicle2/eta.psi"][:] -= 4 * np.pi
+        file["reference1/eta_d.psi"][2000:] += 2 * np.pi
+
+    shown = curves.groups([(run, vehicles(run)) for run in (gripping_run, changed(gripping_run, turn))])
+    panels = {panel["name"]: panel["curves"] for group in shown for panel in group["panels"]}
+    for name in ("ψ - ψ_d", "ψ₂ - ψ₁"):
+        before, after = np.array_split(panels[name], 2)
+        for one, two in zip(before, after, strict=True):
+            np.testing.assert_allclose(unpacked(one["y"]), unpacked(two["y"]), atol=2e-5)  # deg, in single precision
 
 
 def test_thinning_keeps_peaks_ends_and_steps():

@@ -54,16 +54,17 @@ function bandTrace(curve) {
   return {
     type: "scatter", mode: "lines", ...outline(curve.band), fill: "toself", fillcolor: faint(colour, 0.28),
     line: { color: faint(colour, 0.4), width: 0.8 }, visible: shows([...curve.keys, "band"]), showlegend: false, hoverinfo: "skip",
+    zorder: -1, // below all lines
   };
 }
 
 function traces(panel) {
-  const bands = panel.curves.filter((curve) => curve.band).map(bandTrace);
-  return bands.concat(panel.curves.map((curve) => ({
+  const lines = panel.curves.map((curve) => ({
     type: "scatter", mode: curve.t.length === 1 ? "markers" : "lines", name: curve.name, x: curve.t, y: curve.y,
     visible: shows(curve.keys), showlegend: panel.legend, hovertemplate: "%{y:.5g}",
     line: curve.desired ? { color: ink("reference"), width: 1.1, dash: "5px,4px" } : { color: tone(curve.colour), width: 1.6 },
-  })));
+  }));
+  return lines.concat(panel.curves.filter((curve) => curve.band).map(bandTrace));
 }
 
 function layout(panel) {
