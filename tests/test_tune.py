@@ -1,9 +1,20 @@
 """Tuning: equal budgets, studies that go on, fragments that run, held-out draws."""
 
+import csv
+import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orchestrator import open_run
+from orchestrator.experiment.sweep import read as read_sweep
+from orchestrator.experiment.tune import read as read_tune
+from orchestrator.studies.sweep.design.matrix import points
+from orchestrator.studies.sweep.tuning import designs
 
 FMU = "components.controller.fmu"
 SPACE = {"K_p.x": {"distribution": "loguniform", "low": 10.0, "high": 1000.0}}
@@ -67,6 +78,130 @@ def test_a_parameter_that_the_controller_lacks_is_reported(orch, tuning, write):
     answer = orch("tune", write(tuning))
     assert answer.code == 2
     assert "no parameter 'K_q.x'" in answer.err
+
+
+FEW = [  # distributions of many values, and of few
+    {"distribution": "uniform", "low": 8.0, "high": 12.0},
+    {"distribution": "normal", "mean": 1.0, "std": 0.2},
+    {"distribution": "direction", "axes": ["x", "y"], "low": 0.1, "high": 1.0},
+    {"distribution": "integer", "low": 1, "high": 9},
+    {"distribution": "choice", "values": ["a", "b", "c"]},
+]
+
+
+@given(
+    skip=st.integers(0, 40),
+    draws=st.integers(1, 20),
+    held_out=st.integers(1, 40),
+    seed=st.integers(0, 1000),
+    method=st.sampled_from(["random", "lhs", "sobol"]),
+    varied=st.lists(st.sampled_from(FEW), max_size=3),
+    scenarios=st.booleans(),
+)
+@settings(deadline=None, max_examples=150)
+def test_trials_and_comparison_share_no_draw_whatever_is_asked_for(
+    skip, draws, held_out, seed, method, varied, scenarios
+):
+    vary = {f"components.vehicle.parameters.p{i}": table for i, table in enumerate(varied)}
+    vary |= {"master.step": [1e-3, 5e-4]} if scenarios else {}
+    table = {"skip": skip, "seed": seed, "design": method, "vary": {FMU: ["pid"], **vary}}
+    tune = {"objective": "m", "component": "controller", "trials": 1, "draws": draws, "held_out": held_out}
+    table["tune"] = {**tune, "search": {"pid": SPACE}}
+    spec, problems = read_tune(table, {"m": {}})
+    assert problems == []
+    search, problems = designs.design(spec, read_sweep(table)[0], {})
+    of_trials = drawn(search.trials())
+    assert len(set(of_trials)) <= draws
+    for sweep in (search.comparison({"pid": {"K_p.x": 20.0}}), search.tuned({"pid": {"K_p.x": 20.0}})):
+        shared = set(of_trials) & set(drawn(sweep))
+        assert bool(shared) == bool(problems)  # refused where the distributions have too few values
+        assert len({point.draw for point in points(sweep)}) == held_out
+    assert method == "lhs" or [*of_trials, *drawn(sweep)] == drawn(
+        replace(sweep, skip=skip, draws=draws + held_out, lists=())
+    )
+
+
+def drawn(sweep):
+    """The values of each draw."""
+    return [str(point.cells) for point in points(replace(sweep, lists=()))]
+
+
+def test_a_search_that_cannot_hold_draws_out_is_refused(orch, tuning, write, tmp_path):
+    tuning["sweep"]["vary"] = {FMU: ["pid", "mfsosmc"], "master.seed": {"distribution": "integer", "low": 1, "high": 3}}
+    answer = orch("tune", write(tuning))
+    assert answer.code == 2
+    assert "sweep.tune.held_out: 1 of 3 draws have the very values of draws that trials are judged on" in answer.err
+    del tuning["sweep"]["vary"]["master.seed"]
+    del tuning["sweep"]["draws"]
+    answer = orch("tune", write(tuning))
+    assert answer.code == 2
+    assert "no value in sweep.vary is a distribution" in answer.err
+    assert not (tmp_path / "results").exists()
+
+
+def test_lists_that_a_search_cannot_take_are_refused_not_dropped(orch, tuning, write):
+    parameters = "components.controller.parameters"
+    tuning["sweep"]["vary"] |= {parameters: [{"K_i": {"x": 1.0}}, {}], f"{parameters}.K_p.x": [1.0]}
+    answer = orch("tune", write(tuning), "--set", "components.current.parameters.velocity.x=0.1")
+    assert answer.code == 2
+    assert "is set by the search; zip it with components.controller.fmu" in answer.err
+    assert f'"{parameters}.K_p.x"' in answer.err
+    tuning["sweep"]["zip"] = [[FMU, parameters]]
+    tuning["sweep"]["vary"] |= {FMU: ["pid", "pid"], parameters: [{"K_i": {"x": 1.0}}, {}]}
+    del tuning["sweep"]["vary"][f"{parameters}.K_p.x"]
+    answer = orch("tune", write(tuning))
+    assert answer.code == 2
+    assert "sweep.tune.search.pid: 2 rows of sweep.vary have this FMU" in answer.err
+    assert "sweep.tune.search.mfsosmc: is not in the list of FMUs, which" in answer.err
+    tuning["sweep"] |= {"zip": [], "vary": {FMU: ["pid"], "components.current.parameters.velocity": FEW[2]}}
+    answer = orch("tune", write(tuning), "--set", "components.current.parameters.velocity.x=0.1")
+    assert answer.code == 2
+    assert "--set components.current.parameters.velocity.x: varies in the sweep" in answer.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["random", "lhs"])
+def test_what_was_tuned_runs_as_a_sweep_on_no_draw_of_its_trials(orch, tuning, write, tmp_path, method):
+    parameters = "components.controller.parameters"
+    tuning["master"]["stop_time"] = 0.1
+    tuning["sweep"] |= {"skip": 2, "design": method, "zip": [[FMU, parameters]]}
+    listed = {FMU: ["pid", "mfsosmc", "nstsmc"], parameters: [{"K_i": {"x": 2.0}}, {}, {}]}
+    tuning["sweep"]["vary"] |= {**listed, "master.step": [1e-3, 5e-4]}
+    answer = orch("tune", write(tuning), "--set", f"{parameters}.K_d.y=30.0", "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["notes"][:2] == [
+        "nstsmc: left out, for sweep.tune.search does not name them",
+        "master.step: each draw meets all 2 values, in every trial and in the comparison",
+    ]
+    folder = Path(answer.json["folder"])
+    trials = [open_run(path) for path in folder.glob("*.h5")]
+    seen = {velocity(run) for run in trials}
+    assert len(seen) == 4
+    assert {run.attributes["step"] for run in trials} == {1e-3, 5e-4}
+    for run in trials:
+        given = json.loads(run.fact("controller", "parameters"))
+        assert given["K_d.y"] == 30.0
+        assert (given.get("K_i.x") == 2.0) == (run.fact("controller", "fmu") == "pid")
+    compared = rows_of(answer.json["final"]["table"])
+    assert len(compared) == 4 * 3 * 2
+    assert not {velocity(open_run(row["run_id"], tmp_path / "results")) for row in compared} & seen
+    # tuned.toml in place of the experiment's [sweep], under its own seed.
+    del tuning["sweep"]
+    path = write(tuning)
+    path.write_text(path.read_text() + "\n" + (folder / "tuned.toml").read_text())
+    again = orch("sweep", path, "--results", "again", "--json")
+    assert again.code == 0, again.err
+    ids = [row["run_id"] for row in rows_of(again.json["table"])]
+    assert sorted(ids) == sorted(row["run_id"] for row in compared if row["title"].endswith(" tuned"))
+
+
+def velocity(run):
+    (current,) = [c for c in run.resolved["components"] if c["name"] == "current"]
+    return tuple(current["parameters"][f"velocity.{axis}"] for axis in "xy")
+
+
+def rows_of(table):
+    return list(csv.DictReader(Path(table).read_text().splitlines()))
 
 
 @pytest.mark.slow

@@ -110,6 +110,7 @@ def tuned_as_json(result: TuneResult) -> dict[str, Any]:
             }
             for one in result.tuned
         ],
+        "notes": result.notes,
         "final": swept_as_json(result.final) if result.final is not None else None,
     }
 

@@ -178,11 +178,14 @@ def _swapped(key: str) -> list[str]:
 
 
 def _overruled(spec: SweepSpec, experiment: Experiment) -> list[Problem]:
-    """Keys that the command line sets although they vary in the sweep."""
-    varying = [*spec.distributions, *(key for keys, _ in spec.lists for key in keys)]
-    swapped = {f"components.{name}.fmu" for name in experiment.changes["swap"]}
-    given = [f"--set {key}" for key in experiment.changes["set"] if key in varying]
-    given += [f"--swap {key.split('.')[1]}" for key in varying if key in swapped]
+    """Keys that the command line sets although they vary in the sweep, or lie in a table that does."""
+    varying = [split_key(key) for key in (*spec.distributions, *(key for keys, _ in spec.lists for key in keys))]
+    given = [
+        f"--set {key}"
+        for key in experiment.changes["set"]
+        if any(split_key(key)[: len(parts)] == parts for parts in varying)
+    ]
+    given += [f"--swap {name}" for name in experiment.changes["swap"] if ["components", name, "fmu"] in varying]
     return [Problem(option, "varies in the sweep; change [sweep.vary] instead") for option in given]
 
 

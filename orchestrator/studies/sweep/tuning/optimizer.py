@@ -6,20 +6,19 @@ At the end an ordinary sweep compares the tuned and the default parameters on dr
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import logging
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ....errors import ExperimentError, OrchError, StoreError
 from ....experiment import toml
-from ....experiment.experiment import Experiment
-from ....experiment.sweep import SweepSpec
 from ....experiment.sweep import read as read_sweep
-from ....experiment.tune import Space, TuneSpec
+from ....experiment.tune import TuneSpec
 from ....experiment.tune import read as read_tune
 from ....files import write_text
 from ....records.file.provenance import git_commit
@@ -32,11 +31,14 @@ from ..engine import scheduler as engine
 from ..engine.scheduler import SweepResult
 from ..engine.storage import Storage
 from ..engine.worker import PointResult
+from . import designs
+from .designs import SearchDesign
 from .trials import ControllerSearch, TunedController
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+TUNED = "tuned.toml"
 FOLDER = "_tune"  # in the store, whose lists leave out such names: thousands of runs of no interest by themselves
 MISSING = 'tuning needs optuna; pip install "orch[sweep,tune]"'
 
@@ -45,11 +47,13 @@ TrialEnded = Callable[[str, int, int, float], None]  # controller, trials that e
 
 @dataclass(frozen=True)
 class TuneResult:
-    """folder: of the study and the fragments; final: the sweep on held-out draws, None where it was interrupted."""
+    """folder: of the study and the fragments; notes: what a user should know; final: the sweep on held-out draws, None
+    where it was interrupted."""
 
     tune_id: str
     folder: Path
     tuned: list[TunedController]
+    notes: list[str]
     final: SweepResult | None
 
 
@@ -74,7 +78,14 @@ def tune(
     spec, problems = read_tune(experiment.sweep, experiment.metrics)
     if problems:
         raise ExperimentError(path, [*experiment.problems, *(p for p in problems if p not in experiment.problems)])
-    trials = prepare_as(experiment, _of_trials(experiment, spec), packaging, report)
+    search, problems = designs.design(spec, read_sweep(experiment.sweep)[0], experiment.changes["set"])
+    if problems:
+        raise ExperimentError(path, [*experiment.problems, *problems])
+    experiment = replace(experiment, changes={**experiment.changes, "set": search.set})
+    trials = prepare_as(experiment, search.trials(), packaging, report)
+    notes = [*search.notes, *trials.notes]
+    for note in notes:
+        report(f"note: {note}")
     if "://" in results:
         raise StoreError(f"--results {results}: the study is a database; give a folder of this machine")
     tune_id = _identity(trials, spec)
@@ -87,12 +98,18 @@ def tune(
         with cluster.client(scheduler, workers) as client:
             if scheduler is None:
                 client.run(cluster.ignore_ctrl_c)
-            tuned = _search(client, job, trials, spec, folder, pressed, trial_ended, report)
+            tuned = _search(client, job, trials, search, folder, pressed, trial_ended, report)
     if pressed.is_set():
-        return TuneResult(tune_id, folder, tuned, None)
-    _write(folder, spec, tuned)
-    final = prepare_as(experiment, _of_comparison(experiment, spec, tuned), packaging, report)
-    return TuneResult(tune_id, folder, tuned, engine.sweep(final, results, scheduler, workers, runs_ended=runs_ended))
+        return TuneResult(tune_id, folder, tuned, notes, None)
+    _write(folder, search, tuned)
+    for one in tuned:
+        if not one.parameters:
+            notes.append(f"{one.fmu}: no trial completed, so it is not tuned")
+            report(f"note: {notes[-1]}")
+    comparison = search.comparison({one.fmu: one.parameters for one in tuned})
+    final = prepare_as(experiment, comparison, packaging, report)
+    swept = engine.sweep(final, results, scheduler, workers, runs_ended=runs_ended)
+    return TuneResult(tune_id, folder, tuned, notes, swept)
 
 
 def _optuna() -> Any:
@@ -102,40 +119,6 @@ def _optuna() -> Any:
         raise OrchError(MISSING) from None
     optuna.logging.set_verbosity(logging.ERROR)
     return optuna
-
-
-def _of_trials(experiment: Experiment, spec: TuneSpec) -> SweepSpec:
-    """The sweep that trials are drawn from: the controllers, each with the middle of its space, on the first draws."""
-    middles = [_middle(space) for space in spec.spaces.values()]
-    return replace(_of_controllers(experiment, spec, list(spec.spaces), middles), draws=spec.draws)
-
-
-def _of_comparison(experiment: Experiment, spec: TuneSpec, tuned: list[TunedController]) -> SweepSpec:
-    """The sweep of tuned and default parameters on draws that no trial has seen."""
-    both: list[tuple[str, str, dict[str, Any]]] = [(one.fmu, one.fmu, {}) for one in tuned]
-    both += [(f"{one.fmu} tuned", one.fmu, dict(one.parameters)) for one in tuned if one.parameters]
-    titles, fmus, parameters = [b[0] for b in both], [b[1] for b in both], [b[2] for b in both]
-    controllers = _of_controllers(experiment, spec, fmus, parameters, titles)
-    return replace(controllers, draws=spec.held_out, skip=spec.draws)
-
-
-def _of_controllers(
-    experiment: Experiment,
-    spec: TuneSpec,
-    fmus: list[str],
-    parameters: list[dict[str, Any]],
-    titles: list[str] | None = None,
-) -> SweepSpec:
-    """A sweep of controllers with parameters, in place of the file's lists; its distributions stay."""
-    lists: dict[str, list[Any]] = {"title": titles} if titles else {}
-    lists |= {f"components.{spec.component}.fmu": fmus, f"components.{spec.component}.parameters": parameters}
-    rows = tuple(zip(*lists.values(), strict=True))
-    return replace(read_sweep(experiment.sweep)[0], lists=((tuple(lists), rows),))
-
-
-def _middle(space: Space) -> dict[str, Any]:
-    """Some value of each parameter, to check that it is one."""
-    return {name: d["values"][0] if d["distribution"] == "choice" else d["low"] for name, d in space.items()}
 
 
 def _identity(trials: PreparedSweep, spec: TuneSpec) -> str:
@@ -148,7 +131,7 @@ def _search(
     client: Client,
     job: SweepJob,
     prepared: PreparedSweep,
-    spec: TuneSpec,
+    search: SearchDesign,
     folder: Path,
     pressed: Interrupt,
     trial_ended: TrialEnded,
@@ -158,12 +141,12 @@ def _search(
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
-    optuna = _optuna()
+    optuna, spec = _optuna(), search.spec
     patient = {"connect_args": {"timeout": 60}}  # s
     storage = optuna.storages.RDBStorage(f"sqlite:///{folder / 'study.sqlite'}", engine_kwargs=patient)
     token = cluster.token()
-    searches = {fmu: ControllerSearch(optuna, storage, fmu, prepared, spec, report) for fmu in spec.spaces}
-    asking = {fmu: search.run() for fmu, search in searches.items()}
+    searches = {fmu: ControllerSearch(optuna, storage, fmu, prepared, search, report) for fmu in spec.spaces}
+    asking = {fmu: one.run() for fmu, one in searches.items()}
     asked = {fmu: next(generator, None) for fmu, generator in asking.items()}
     answers: dict[str, dict[int, PointResult]] = {fmu: {} for fmu in searches}
     submitted: dict[Future[list[PointResult]], tuple[str, DesignPoint]] = {}
@@ -197,28 +180,33 @@ def _search(
     if pressed.is_set():
         client.run(worker.interrupt, token)
         wait(list(submitted), timeout=cluster.PATIENCE)
-    return [search.tuned() for search in searches.values()]
+    return [one.tuned() for one in searches.values()]
 
 
-def _write(folder: Path, spec: TuneSpec, tuned: list[TunedController]) -> None:
+def _write(folder: Path, search: SearchDesign, tuned: list[TunedController]) -> None:
     """A fragment for each controller's experiment, and one for a sweep of all."""
-    key = f"components.{spec.component}"
-    for one in tuned:
-        remark = f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}.\n"
-        table = {"components": {spec.component: {"fmu": one.fmu, "parameters": one.parameters}}}
-        write_text(folder / f"{Path(one.fmu).stem}.toml", remark + toml.write(table))
-    lines = [
-        "# Tuned by orch: each controller with its parameters, for a sweep.",
-        "[sweep]",
-        f'zip = [["{key}.fmu", "{key}.parameters"]]',
-        "",
-        "[sweep.vary]",
-        f'"{key}.fmu" = {toml.inline([one.fmu for one in tuned])}',
-        f'"{key}.parameters" = [',
-        *(f"    {toml.inline(one.parameters)}," for one in tuned),
-        "]",
-    ]
-    write_text(folder / "tuned.toml", "\n".join(lines) + "\n")
+    spec, first = search.spec, search.swept.skip
+    seen = f"draws {first} to {first + spec.draws - 1} of sweep.seed = {search.swept.seed}"
+    for one, name in zip(tuned, _names(one.fmu for one in tuned), strict=True):
+        remark = (
+            f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}, on {seen}:\n"
+        )
+        remark += f"# compare it on others, such as those from sweep.skip = {first + spec.draws} on.\n"
+        parameters = search.parameters(one.fmu, one.parameters)
+        table = {"components": {spec.component: {"fmu": one.fmu, "parameters": parameters}}}
+        write_text(folder / f"{name}.toml", remark + toml.write(table))
+    remark = "# Tuned by orch: each controller with its parameters, in place of the experiment's [sweep].\n"
+    remark += f"# The search was judged on {seen}, which skip leaves out.\n"
+    write_text(folder / TUNED, remark + designs.as_toml(search.tuned({one.fmu: one.parameters for one in tuned})))
+
+
+def _names(fmus: Iterable[str]) -> list[str]:
+    """A file name for each FMU, without suffix."""
+    names: list[str] = []
+    for stem in (Path(fmu).stem for fmu in fmus):
+        others = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
+        names.append(next(name for name in others if name not in names and f"{name}.toml" != TUNED))
+    return names
 
 
 def _objective(spec: TuneSpec) -> str:

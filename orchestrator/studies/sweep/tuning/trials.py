@@ -14,12 +14,14 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ....experiment.tune import Space, TuneSpec
+from ....experiment.tune import Space
 from ....fmu.fmu import read
+from ....fmu.values import flatten
 from ....runs.prepare import Report
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep
 from ..engine.worker import COMPLETED, PointResult
+from .designs import SearchDesign
 
 RUNGS = 4  # looks at a trial, at most, before it is complete
 STARTUP = 5  # trials at random before the sampler learns from them
@@ -48,10 +50,12 @@ class ControllerSearch:
         storage: Any,
         fmu: str,
         prepared: PreparedSweep,
-        spec: TuneSpec,
+        search: SearchDesign,
         report: Report,
     ):
+        spec = search.spec
         self._optuna, self._space, self._spec, self._fmu = optuna, spec.spaces[fmu], spec, fmu
+        self._fixed = search.controllers[fmu].fixed
         self._key = f"components.{spec.component}"
         self._draws = [point.values for point in prepared.points if point.values[f"{self._key}.fmu"] == fmu]
         self._seed = prepared.spec.seed
@@ -70,7 +74,7 @@ class ControllerSearch:
             if trial.state == states.WAITING:
                 trial = self._study.ask()
             self._study.tell(trial.number, state=states.FAIL)  # its process was interrupted
-        self._defaults = _defaults(prepared, self._space, fmu)
+        self._defaults = _defaults(prepared, self._space, fmu, self._fixed)
         outside = [name for name, value in self._defaults.items() if not _lies_in(self._space[name], value)]
         if outside:
             report(f"{fmu}: the defaults of {', '.join(outside)} lie outside the space, so no trial begins with them")
@@ -107,7 +111,8 @@ class ControllerSearch:
         while len(values) < len(self._draws):
             chosen = range(len(values), min(len(values) + rung, len(self._draws)))
             results = yield [
-                DesignPoint(i, i, {**self._draws[i], f"{self._key}.parameters": parameters}) for i in chosen
+                DesignPoint(i, i, {**self._draws[i], f"{self._key}.parameters": {**self._fixed, **parameters}})
+                for i in chosen
             ]
             values += [
                 self._spec.value(results[i].metrics) if results[i].status == COMPLETED else math.nan for i in chosen
@@ -144,14 +149,16 @@ def _suggest(trial: Any, name: str, entry: Mapping[str, Any]) -> Any:
     return trial.suggest_float(name, entry["low"], entry["high"], log=entry["distribution"] == "loguniform")
 
 
-def _defaults(prepared: PreparedSweep, space: Space, fmu: str) -> dict[str, Any]:
-    """What the FMU itself has for the parameters that are searched; {} where one of them is no single number."""
+def _defaults(prepared: PreparedSweep, space: Space, fmu: str, fixed: Mapping[str, Any]) -> dict[str, Any]:
+    """What the parameters that are searched are before: as the experiment fixes them, or the FMU itself has them; {}
+    where one of them is no single number."""
     described = read(prepared.files[prepared.fmus[fmu]])
+    given, _ = flatten(described, ("parameter", "structuralParameter"), fixed)
     defaults = {}
     for name, entry in space.items():
         if name not in described.variables:
             return {}
-        start = described.variables[name].initial
+        start = given.get(name, described.variables[name].initial)
         defaults[name] = int(start) if entry["distribution"] == "integer" else start
     return defaults
 
