@@ -12,7 +12,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,6 +24,17 @@ class OrchError(Exception):
     """An error message that says where, what, and what would do."""
 
     exit_code = 2
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle: an exception would be made of its message alone, which fails where it takes other arguments, and
+        a pool of processes breaks when one of its workers raises it."""
+        return _unpickled, (type(self), self.args, vars(self))
+
+
+def _unpickled(of: type[OrchError], arguments: tuple[Any, ...], attributes: dict[str, Any]) -> OrchError:
+    error = of.__new__(of, *arguments)
+    vars(error).update(attributes)
+    return error
 
 
 @dataclass(frozen=True)
@@ -55,13 +66,20 @@ class StoreError(OrchError):
 
 
 class RunError(OrchError):
-    """A run that failed.  run: its record, open, as an `orchestrator.Run`; None where the record cannot be read."""
+    """A run that failed.
+
+    run: its record, open, as an `orchestrator.Run`; None where the record cannot be read, and in another process than
+    the one that ran.
+    """
 
     exit_code = 3
 
     def __init__(self, message: str, run: Signals | None = None):
         super().__init__(message)
         self.run = run
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled, (type(self), self.args, {**vars(self), "run": None})
 
 
 def did_you_mean(name: str, choices: Iterable[str], what: str = "known") -> str:

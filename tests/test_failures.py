@@ -1,12 +1,16 @@
 """Runs that do not reach their end: models that fail, Ctrl-C, a full disk, a folder that cannot be written."""
 
+import importlib
 import os
+import pickle
+import pkgutil
 import resource
 import shutil
 import signal
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 import h5py
 import pytest
@@ -14,6 +18,9 @@ import pytest
 import orchestrator
 from commands import DEADLINE, ORCH, poll
 from experiments import merged, single
+from orchestrator.errors import ExperimentError, FmuError, OrchError, Problem, RunError, StoreError
+from orchestrator.models.build import BuildError
+from orchestrator.records.store.query import WhereError
 
 HALT = 2.0  # s; the contract says one, the other is for a loaded machine
 
@@ -505,3 +512,65 @@ def test_a_temporary_folder_without_room_starts_nothing(orch, write, spiral, tmp
     assert "cannot be unpacked" in answer.err
     assert "File too large" in answer.err
     assert not (tmp_path / "results").exists()
+
+
+# --- Pools of processes -----------------------------------------------------------------------------------------------
+
+
+class Closed:
+    """Like an open record: it cannot be pickled."""
+
+    def __reduce__(self):
+        raise TypeError("cannot be pickled")
+
+
+ERRORS = [
+    OrchError("what"),
+    ExperimentError("a.toml", [Problem("master.step", "is missing"), Problem("", "is empty")]),
+    FmuError("an FMU"),
+    StoreError("a record"),
+    RunError("it failed", Closed()),
+    BuildError({"pid": "no compiler"}, {"nstsmc": Path("nstsmc.fmu")}),
+    WhereError("what?"),
+]
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_an_error_arrives_whole_from_another_process(error):
+    arrived = pickle.loads(pickle.dumps(error))
+    assert type(arrived) is type(error)
+    assert (str(arrived), arrived.args) == (str(error), error.args)
+    kept = {name: value for name, value in vars(error).items() if name != "run"}
+    assert {name: value for name, value in vars(arrived).items() if name != "run"} == kept
+    assert getattr(arrived, "run", None) is None
+
+
+def test_every_error_is_known_to_the_test_above():
+    for module in pkgutil.walk_packages(orchestrator.__path__, "orchestrator."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    waiting, classes = [OrchError], set()
+    while waiting:
+        classes.add(waiting.pop())
+        waiting += [c for known in classes for c in known.__subclasses__() if c not in classes]
+    assert classes == {type(error) for error in ERRORS}
+
+
+def test_a_pool_whose_worker_cannot_run_an_experiment_says_why_and_goes_on(python, write, models, spiral):
+    bad, failing = write(merged(spiral, {"master.step": -1.0})), single("trouble", kind=1)
+    answer = python(f"""
+from concurrent.futures import ProcessPoolExecutor
+
+import orchestrator as orch
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1) as pool:
+        for path in [{str(bad)!r}, {str(write(failing, "failing.toml"))!r}]:
+            try:
+                pool.submit(orch.run, path).result()
+            except orch.ExperimentError as error:
+                print(error.problems[0].key)
+            except orch.RunError as error:
+                print(error.run)
+""")
+    assert answer.out.split() == ["master.step", "None"], answer.err
