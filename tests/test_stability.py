@@ -195,6 +195,14 @@ def test_an_interrupted_run_says_that_it_oscillates_and_is_not_compared(loop, wr
     assert "could not be compared with one at half the step, because it was interrupted" in warning
 
 
+def test_an_interrupted_run_with_noise_that_is_small_beside_what_it_rides_on_is_not_reported(loop, write, tmp_path):
+    """A quarter to a half of the mean square of y_m alternates: suspect, and too little for a rhythm of its own."""
+    table = loop(gain=0.5, target=3.0, limit=10.0, noise=0.4, reads="lag.y_m")
+    result = execute(prepare(write(table)), tmp_path / "record.h5", observers=[InterruptAt(300)])
+    assert result.status == "interrupted"
+    assert result.warnings == []
+
+
 def test_an_interruption_during_the_comparison_leaves_the_run_completed(loop, write, tmp_path):
     result = execute(prepare(write(loop(gain=1.5))), tmp_path / "record.h5", observers=[InterruptAt(500)])
     assert result.status == "completed"
@@ -253,6 +261,30 @@ def test_a_sensor_with_noise_is_not_reported_whether_the_controller_reads_it_or_
     record = recorded(table)
     assert record.warnings == []
     assert ("comparison" in record.attributes["timing"]) == read  # that is what it took to tell
+
+
+@pytest.mark.parametrize(
+    ("controller", "noisy", "kinds"), [("mfsosmc", False, ["unchecked"]), ("pid", False, []), ("pid", True, [])]
+)
+def test_what_is_steered_from_outside_cannot_be_compared_and_says_so_only_where_it_oscillates(
+    models, spiral, write, recorded, controller, noisy, kinds
+):
+    pytest.importorskip("pymavlink")
+    table = merged(spiral, {"master.stop_time": 1.0, "components.reference": None, "metrics": {}})
+    table["components"]["controller"]["fmu"] = controller
+    pilot = {"builtin": "mavlink_manual", "step": 0.02}
+    sensor = {"fmu": "noisy_sensor", "parameters": {"sigma_eta": 0.02, "sigma_nu": 0.02} if noisy else {}}
+    table["components"] = {"sensor": sensor, **table["components"], "pilot": pilot}
+    table["connections"]["pilot.eta"] = "vehicle.eta"
+    for name in ("eta_d", "eta_d_dot", "eta_d_ddot"):
+        table["connections"][f"controller.{name}"] = f"pilot.{name}"
+    for name in ("eta", "nu"):
+        table["connections"] |= {f"sensor.{name}": f"vehicle.{name}", f"controller.{name}": f"sensor.{name}_m"}
+    record = recorded(table)
+    assert [warning.kind for warning in record.warnings] == kinds
+    assert all("because it was steered from outside and cannot be repeated" in text for text in record.warnings)
+    assert not record.is_wrong
+    assert "comparison" not in record.attributes["timing"]
 
 
 # --- Where runs are made ----------------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def judge(plan: Plan, outcome: Outcome, bursts: Bursts, interrupt: Interrupt, so
     for loop, fast in loops.items():  # nothing has decided
         if not obstacle:
             found[loop] = _switching(plan, bursts, fast)
-        elif max(suspect.rhythm for suspect in fast if suspect.share > 0.5) > stability.RHYTHM:
+        elif any(suspect.share > 0.5 and suspect.rhythm > stability.RHYTHM for suspect in fast):
             found[loop] = _unchecked(plan, bursts, fast, obstacle)
     outcome.warnings += [found[loop] for loop in sorted(found)]
     if steps:
