@@ -7,6 +7,9 @@ from typing import Any
 
 import casadi as ca
 
+# To round e/(2 pi) to whole turns: 0 up to pi itself, where with 1/(2 pi) and a half what is just below it would be 1.
+PER_TURN, HALF = math.nextafter(1 / (2 * math.pi), 0.0), math.nextafter(0.5, 0.0)
+
 
 def rotation(eta: Any) -> Any:
     """R(eta), BODY to NED (Fossen 2011, Eq. 2.18; the thesis's Eq. 3.6 misprints two entries).
@@ -64,11 +67,11 @@ def inverse_jacobian(eta: Any) -> Any:
 def pose_error(eta: Any, eta_d: Any) -> Any:
     """e = eta - eta_d, the angles on the circle: e - 2 pi round(e/(2 pi)), in [-pi, pi].
 
-    The shortest way round, and no jump where eta_d is given modulo 2 pi.  Exact, so that |e| < pi keeps every bit.
+    The shortest way round, and no jump where eta_d is given modulo 2 pi.  |e| < pi keeps every bit.
     eta, eta_d: (6,) NED position and zyx Euler angles [m, rad].  Returns (6,) [m, rad].
     """
     e = eta - eta_d
-    return ca.vertcat(e[:3], *(ca.remainder(e[i], 2 * math.pi) for i in (3, 4, 5)))
+    return ca.vertcat(e[:3], *(e[i] - 2 * math.pi * ca.floor(PER_TURN * e[i] + HALF) for i in (3, 4, 5)))
 
 
 def _matrix(*rows: list[Any]) -> Any:

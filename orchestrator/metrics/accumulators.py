@@ -282,7 +282,11 @@ class HeadingDifference(Statistic):
 
     def number(self, *vectors: Reals) -> Reals:
         heading, other = vectors
-        result: Reals = (heading - other)[0] * (180 / math.pi) % 360.0
+        difference = (heading[0] - other[0]) * (180 / math.pi)
+        # What the remainder is within a turn: it takes ten times as long.
+        result: Reals = np.where(difference < 0.0, difference + 360.0, abs(difference))
+        if not (abs(difference) < 360.0).all():
+            result = difference % 360.0
         result[result == 360.0] = 0.0  # the remainder of a difference just below zero rounds to 360
         return result
 

@@ -84,10 +84,10 @@ class Meter:
         self._metric, self._every = METRICS[spec["of"]], every
         self._after, self._before = spec.get("after", 0.0), spec.get("before", math.inf)
         self._ends = [_signals(spec[end], self._metric, units) for end in ("signal", "reference") if end in spec]
-        self._units, unit = units, units[self._ends[0][0]]
-        self._wanted = unit
+        unit = wanted = units[self._ends[0][0]]
         if self._metric.axes:
-            self._wanted = POWER_UNIT if self._metric.axes == ("*",) else self._metric.unit.replace("deg", "rad")
+            wanted = POWER_UNIT if self._metric.axes == ("*",) else self._metric.unit.replace("deg", "rad")
+        self._conversions = {name: _conversion(units[name], wanted) for names in self._ends for name in names}
         wraps = spec.get("wrap", any(name in angles for names in self._ends for name in names))
         self._turn = _turn(unit) if wraps and len(self._ends) > 1 and not self._metric.axes else 0.0
         self._factor = 1.0 if self._metric.axes else _factor(spec.get("unit", unit), unit)
@@ -96,27 +96,33 @@ class Meter:
 
     def update(self, tick: int, time: Reals, samples: Mapping[str, Reals]) -> None:
         """The values at consecutive ticks from `tick`.  time: (n,) [s]; samples: {signal: (n,)}."""
-        first = int(np.searchsorted(time, self._after, "left"))
+        first, last = 0, len(time)
+        if not self._after <= time[0] <= time[-1] <= self._before:
+            first, last = (
+                int(np.searchsorted(time, self._after, "left")),
+                int(np.searchsorted(time, self._before, "right")),
+            )
         first += -(tick + first) % self._every
-        window = slice(first, int(np.searchsorted(time, self._before, "right")), self._every)
-        time = time[window]
-        if not len(time):
+        if first >= last:
             return
+        window = slice(first, last, self._every)
+        time = time[window]
         self._empty = False
         if self._metric.axes:
-            vectors = [np.array([self._of(name, samples)[window] for name in names]) for names in self._ends]
+            vectors = [np.array([self._of(name, samples[name][window]) for name in names]) for names in self._ends]
             self._accumulator.update(time, *vectors)
             return
-        error, *reference = (self._of(names[0], samples)[window] for names in self._ends)
+        error, *reference = (self._of(names[0], samples[names[0]][window]) for names in self._ends)
         if reference:
             error = error - reference[0]
         if self._turn:
             error = on_circle(error, self._turn)
         self._accumulator.update(time, error if self._factor == 1.0 else error * self._factor)
 
-    def _of(self, name: str, samples: Mapping[str, Reals]) -> Reals:
-        """A signal in the unit that the metric takes."""
-        return _converted(samples[name], self._units[name], self._wanted)
+    def _of(self, name: str, values: Reals) -> Reals:
+        """Values of a signal in the unit that the metric takes."""
+        factor, offset = self._conversions[name]
+        return values if (factor, offset) == (1.0, 0.0) else values * factor + offset
 
     def result(self) -> float:
         """The metric of the samples so far; nan where none fell into the window: a run shortened by --set
@@ -288,10 +294,9 @@ def _fits(unit: str, other: str) -> bool:
         return unit == other
 
 
-def _converted(values: Reals, unit: str, wanted: str) -> Reals:
-    """The values in the unit that is wanted; as they stand where they have none, which a record calls "1"."""
-    factor, offset = conversion(unit, {}, wanted, {}) if "1" not in (unit, wanted) or unit == "%" else (1.0, 0.0)
-    return values.astype(float) if (factor, offset) == (1.0, 0.0) else values * factor + offset
+def _conversion(unit: str, wanted: str) -> tuple[float, float]:
+    """Factor and offset; none where a signal has no unit, which a record calls "1"."""
+    return conversion(unit, {}, wanted, {}) if "1" not in (unit, wanted) or unit == "%" else (1.0, 0.0)
 
 
 def _turn(unit: str) -> float:

@@ -36,6 +36,13 @@ static double now(void) {
     DO(REAL, real, double) DO(INTEGER, integer, int32_t) DO(BOOLEAN, boolean, int32_t) DO(FLOAT32, float32, float)     \
     DO(INT8, int8, int8_t) DO(UINT8, uint8, uint8_t) DO(INT16, int16, int16_t) DO(UINT16, uint16, uint16_t)            \
     DO(UINT32, uint32, uint32_t) DO(INT64, int64, int64_t) DO(UINT64, uint64, uint64_t) DO(TRUTH, truth, uint8_t)
+/* Passes over whole tables, for the vectors of the machine that runs them: no rounding depends on their width. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
+#define VECTORIZED __attribute__((target_clones("avx2", "default"), optimize("no-unroll-loops")))
+#else
+#define VECTORIZED
+#endif
+
 #define CONSTANT(constant, name, type) constant,
 #define SIZE(constant, name, type) sizeof(type),
 #define NAME(constant, name, type) #name " "
@@ -46,6 +53,7 @@ static const uint8_t SIZES[KINDS] = {EACH_KIND(SIZE)};
 #define MOMENT_NAMES "AT_ONCE TICK_END PERIOD_END"
 enum { AT_ONCE, TICK_END, PERIOD_END, MOMENTS };
 enum { NOT_FINITE = -1 };
+enum { GAP = 8 }; /* reals that a span may have between: to pass over them takes less time than to begin anew */
 enum { FMI_WARNING = 1, FMI_DISCARD, FMI_ERROR };
 
 typedef int Exchange(void *handle, const uint32_t *references, size_t n, void *values);
@@ -55,9 +63,14 @@ typedef int DoStep3(void *handle, double t, double h, bool no_going_back, bool *
                     double *reached);
 typedef void Function(void);
 
-/* Values that follow one another in the table as they do in a setter's buffer. */
+/* Reals that follow one another in the table, or nearly so. */
 typedef struct {
-    size_t source, target, n;
+    size_t first, n;
+} Span;
+
+/* Values that follow one another in the table as they do in a setter's buffer: in bytes. */
+typedef struct {
+    size_t source, target, size;
 } Run;
 
 /* A value on its way into a buffer: factor * value + offset. */
@@ -113,24 +126,26 @@ typedef struct {
 
 /* Outputs that are fed back: see bursts.py. */
 typedef struct {
-    size_t n, n_clocks, n_runs;
+    size_t n, n_others, n_clocks;
     const Py_ssize_t *kinds, *places;
-    double *squares;
-    Run *runs; /* of real outputs, from the table to `squares`; the others follow in `kinds` and `places` */
-    size_t n_reals;
+    Span *spans; /* of those that are real */
+    size_t n_spans;
+    double *squares, *squares_of_others; /* as in the table of reals; of the last n_others, which are not real */
     Clock *clocks;
 } Bursts;
 
 /* What metrics need of every tick, and what the envelope of the rows needs: see sampling.py. */
 typedef struct {
-    size_t n, block; /* signals, and ticks that `values` has room for */
+    size_t n, block, stride; /* signals, ticks of a block, and values from signal to signal in `values` */
     const int64_t *kinds;
     const Py_ssize_t *places;
-    double *values; /* (n, block) */
+    double *values; /* (n, stride) */
     Py_ssize_t first;
     size_t n_bounded;
     const Py_ssize_t *bounded; /* places in the table of reals */
-    double *least, *largest;   /* since the last row */
+    Span *spans;
+    size_t n_spans;
+    double *least, *largest; /* since the last row, as in the table of reals */
 } Samples;
 
 /* A value and what it may be; an angle, and by how much it may jump: see sampling.py. */
@@ -216,8 +231,10 @@ static void convert(const Call *c, void *const *tables) {
 }
 
 static inline void copy(const Call *c, const Run *run, const void *table) {
-    size_t size = size_of(c->kind);
-    memcpy((char *)c->values + run->target * size, (const char *)table + run->source * size, run->n * size);
+    char *to = (char *)c->values + run->target;
+    const char *from = (const char *)table + run->source;
+    if (run->size == 6 * sizeof(double)) memcpy(to, from, 6 * sizeof(double)); /* a pose, a force: without a call */
+    else memcpy(to, from, run->size);
 }
 
 static void publish_all(const Loop *self, const Stepper *m, int moment) {
@@ -226,7 +243,7 @@ static void publish_all(const Loop *self, const Stepper *m, int moment) {
 }
 
 /* Adding one to an exponent of nothing but ones runs into the sign. */
-static int all_finite(const double *values, size_t n) {
+VECTORIZED static int all_finite(const double *values, size_t n) {
     uint64_t met = 0;
     for (size_t i = 0; i < n; i++) {
         uint64_t bits;
@@ -300,16 +317,24 @@ static void add_times(const Loop *self, size_t stepper, const double *marks) {
     self->samples[stepper]++;
 }
 
+VECTORIZED static void add_squares(double *restrict squares, const double *restrict values, size_t n) {
+    for (size_t i = 0; i < n; i++) squares[i] += values[i] * values[i];
+}
+
+VECTORIZED static void widen(double *restrict least, double *restrict largest, const double *restrict values, size_t n) {
+    for (size_t i = 0; i < n; i++) {
+        least[i] = values[i] < least[i] ? values[i] : least[i];
+        largest[i] = values[i] > largest[i] ? values[i] : largest[i];
+    }
+}
+
 /* tick: that has ended. */
 static void look(const Bursts *b, void *const *tables, int64_t tick) {
-    for (const Run *run = b->runs, *end = run + b->n_runs; run < end; run++) {
-        const double *values = (const double *)tables[REAL] + run->source;
-        double *restrict squares = b->squares + run->target;
-        for (size_t i = 0; i < run->n; i++) squares[i] += values[i] * values[i];
-    }
-    for (size_t i = b->n_reals; i < b->n; i++) {
-        double value = load(tables[b->kinds[i]], b->places[i], b->kinds[i]);
-        b->squares[i] += value * value;
+    for (const Span *s = b->spans, *end = s + b->n_spans; s < end; s++)
+        add_squares(b->squares + s->first, (const double *)tables[REAL] + s->first, s->n);
+    for (size_t i = 0, first = b->n - b->n_others; i < b->n_others; i++) {
+        double value = load(tables[b->kinds[first + i]], b->places[first + i], b->kinds[first + i]);
+        b->squares_of_others[i] += value * value;
     }
     for (const Clock *c = b->clocks, *end = c + b->n_clocks; c < end; c++) {
         size_t done = (size_t)*c->done;
@@ -329,16 +354,8 @@ static inline double value_of(void *const *tables, int64_t kind, Py_ssize_t plac
 /* The values at the end of a tick, as column `column`. */
 static void take(const Samples *s, void *const *tables, size_t column) {
     double *values = s->values + column;
-    for (size_t i = 0; i < s->n; i++, values += s->block)
+    for (size_t i = 0; i < s->n; i++, values += s->stride)
         *values = value_of(tables, s->kinds[i], s->places[i]);
-}
-
-static void widen(const Samples *s, const double *table) {
-    for (size_t i = 0; i < s->n_bounded; i++) {
-        double value = table[s->bounded[i]];
-        s->least[i] = value < s->least[i] ? value : s->least[i];
-        s->largest[i] = value > s->largest[i] ? value : s->largest[i];
-    }
 }
 
 static void note_limits(const Watched *w, void *const *tables, int64_t tick) {
@@ -385,10 +402,11 @@ static void watch(const Watched *w, void *const *tables, int64_t tick) {
 /* The bounds since the last row, as a row (2, n_bounded); then those of nothing. */
 static void close_bounds(const Samples *s, double *row) {
     for (size_t i = 0; i < s->n_bounded; i++) {
-        row[i] = s->least[i];
-        row[s->n_bounded + i] = s->largest[i];
-        s->least[i] = INFINITY;
-        s->largest[i] = -INFINITY;
+        Py_ssize_t place = s->bounded[i];
+        row[i] = s->least[place];
+        row[s->n_bounded + i] = s->largest[place];
+        s->least[place] = INFINITY;
+        s->largest[place] = -INFINITY;
     }
 }
 
@@ -435,7 +453,8 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         }
         look(&self->bursts, self->tables, k + 1);
         if (samples->n) take(samples, self->tables, column++);
-        if (samples->n_bounded) widen(samples, self->tables[REAL]);
+        for (const Span *s = samples->spans, *end = s + samples->n_spans; s < end; s++)
+            widen(samples->least + s->first, samples->largest + s->first, (const double *)self->tables[REAL] + s->first, s->n);
         watch(&self->watched, self->tables, k + 1);
         if (k + 1 == next_row) {
             for (int kind = 0; kind < KINDS; kind++) {
@@ -474,9 +493,22 @@ static int find_runs(Call *c, PyObject *from, PyObject *to) {
     if (!targets) return -1;
     c->runs = calloc(n + 1, sizeof *c->runs);
     if (!c->runs) return PyErr_NoMemory(), -1;
+    size_t size = size_of(c->kind);
     for (size_t i = 0; i < n; i++)
-        if (i && sources[i] == sources[i - 1] + 1 && targets[i] == targets[i - 1] + 1) c->runs[c->n_runs - 1].n++;
-        else c->runs[c->n_runs++] = (Run){(size_t)sources[i], (size_t)targets[i], 1};
+        if (i && sources[i] == sources[i - 1] + 1 && targets[i] == targets[i - 1] + 1) c->runs[c->n_runs - 1].size += size;
+        else c->runs[c->n_runs++] = (Run){(size_t)sources[i] * size, (size_t)targets[i] * size, size};
+    return 0;
+}
+
+static int find_spans(const Py_ssize_t *places, size_t n, Span **spans, size_t *n_spans) {
+    *spans = calloc(n + 1, sizeof **spans);
+    if (!*spans) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < n; i++) {
+        size_t place = (size_t)places[i];
+        Span *last = i ? &(*spans)[*n_spans - 1] : NULL;
+        if (last && place >= last->first + last->n && place <= last->first + last->n + GAP) last->n = place + 1 - last->first;
+        else (*spans)[(*n_spans)++] = (Span){place, 1};
+    }
     return 0;
 }
 
@@ -568,21 +600,16 @@ static int parse_clock(PyObject *tuple, Clock *c) {
     return 0;
 }
 
-#define BURSTS_FIELDS "kinds places squares clocks"
-#define BURSTS_FORMAT "OOOO!"
+#define BURSTS_FIELDS "kinds places squares squares_of_others clocks"
+#define BURSTS_FORMAT "OOOOO!"
 static int parse_bursts(PyObject *tuple, Bursts *b) {
-    PyObject *kinds, *places, *squares, *clocks;
-    if (!PyArg_ParseTuple(tuple, BURSTS_FORMAT, &kinds, &places, &squares, &PyList_Type, &clocks)) return -1;
+    PyObject *kinds, *places, *squares, *others, *clocks;
+    if (!PyArg_ParseTuple(tuple, BURSTS_FORMAT, &kinds, &places, &squares, &others, &PyList_Type, &clocks)) return -1;
     if (!(b->kinds = memory_of(kinds, sizeof(Py_ssize_t), &b->n))) return -1;
     if (!(b->places = memory_of(places, sizeof(Py_ssize_t), NULL))) return -1;
     if (!(b->squares = memory_of(squares, sizeof(double), NULL))) return -1;
-    b->runs = calloc(b->n + 1, sizeof *b->runs);
-    if (!b->runs) return PyErr_NoMemory(), -1;
-    for (; b->n_reals < b->n && b->kinds[b->n_reals] == REAL; b->n_reals++) {
-        size_t i = b->n_reals;
-        if (i && b->places[i] == b->places[i - 1] + 1) b->runs[b->n_runs - 1].n++;
-        else b->runs[b->n_runs++] = (Run){(size_t)b->places[i], i, 1};
-    }
+    if (!(b->squares_of_others = memory_of(others, sizeof(double), &b->n_others))) return -1;
+    if (find_spans(b->places, b->n - b->n_others, &b->spans, &b->n_spans) < 0) return -1;
     b->n_clocks = (size_t)PyList_Size(clocks);
     b->clocks = calloc(b->n_clocks + 1, sizeof *b->clocks);
     if (!b->clocks) return PyErr_NoMemory(), -1;
@@ -591,14 +618,15 @@ static int parse_bursts(PyObject *tuple, Bursts *b) {
     return 0;
 }
 
-#define SAMPLES_FIELDS "kinds places values block first bounded least largest"
-#define SAMPLES_FORMAT "OOOnnOOO"
+#define SAMPLES_FIELDS "kinds places values stride block first bounded least largest"
+#define SAMPLES_FORMAT "OOOnnnOOO"
 static int parse_samples(PyObject *tuple, Samples *s) {
     PyObject *kinds, *places, *values, *bounded, *least, *largest;
-    Py_ssize_t block;
-    if (!PyArg_ParseTuple(tuple, SAMPLES_FORMAT, &kinds, &places, &values, &block, &s->first, &bounded, &least,
+    Py_ssize_t stride, block;
+    if (!PyArg_ParseTuple(tuple, SAMPLES_FORMAT, &kinds, &places, &values, &stride, &block, &s->first, &bounded, &least,
                           &largest))
         return -1;
+    s->stride = (size_t)stride;
     s->block = (size_t)block;
     if (!(s->kinds = memory_of(kinds, sizeof(int64_t), &s->n))) return -1;
     if (!(s->places = memory_of(places, sizeof(Py_ssize_t), NULL))) return -1;
@@ -606,6 +634,7 @@ static int parse_samples(PyObject *tuple, Samples *s) {
     if (!(s->bounded = memory_of(bounded, sizeof(Py_ssize_t), &s->n_bounded))) return -1;
     if (!(s->least = memory_of(least, sizeof(double), NULL))) return -1;
     if (!(s->largest = memory_of(largest, sizeof(double), NULL))) return -1;
+    if (find_spans(s->bounded, s->n_bounded, &s->spans, &s->n_spans) < 0) return -1;
     return 0;
 }
 
@@ -633,8 +662,9 @@ static void loop_dealloc(Loop *self) {
     }
     free(self->steppers);
     free(self->late);
-    free(self->bursts.runs);
     free(self->bursts.clocks);
+    free(self->bursts.spans);
+    free(self->sampled.spans);
     Py_XDECREF(self->program);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
@@ -642,8 +672,8 @@ static void loop_dealloc(Loop *self) {
 
 /* Values that lie in the table as the setter wants them need no copy. */
 static void use_in_place(const Loop *self, Call *c) {
-    if (self->records_inputs || c->n_runs != 1 || c->runs[0].n != c->n || !c->function) return;
-    c->values = (char *)self->tables[c->kind] + c->runs[0].source * size_of(c->kind);
+    if (self->records_inputs || c->n_runs != 1 || c->runs[0].size != c->n * size_of(c->kind) || !c->function) return;
+    c->values = (char *)self->tables[c->kind] + c->runs[0].source;
     c->n_runs = 0;
 }
 

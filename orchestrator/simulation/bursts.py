@@ -39,6 +39,7 @@ class BurstsProgram(NamedTuple):
     kinds: Places
     places: Places
     squares: Reals
+    squares_of_others: Reals
     clocks: list[ClockProgram]
 
 
@@ -95,7 +96,7 @@ class Clock:
 class Bursts:
     """outputs: all that are fed back.  clocks: at least one for each period of a loop.
 
-    squares: (outputs,) sums of squares over the ticks from `first` to `last`, which the master sets at the end.
+    Sums of squares go over the ticks from `first` to `last`, which the master sets at the end.
     """
 
     def __init__(self, system: System, like: Bursts | None = None, factor: int = 1, kept: bool = False):
@@ -103,11 +104,13 @@ class Bursts:
         components that have one of their own.  The bursts cover the same time."""
         plan, tables = system.plan, system.tables
         self.outputs = sorted(fed_back(plan, system), key=lambda o: (NUMBERS.index(o.variable.kind), o.place))
-        n = len(self.outputs)
         self._tables = [(tables[kind], where, places) for kind, where, places in self._by_kind()]
         self.first = self.last = plan.first
-        self._now = np.zeros(n)
-        self.squares = np.zeros(n)
+        self._reals = tables["real"][: system.computed["real"]]
+        self._now = np.zeros(len(self.outputs))
+        self._n_real = sum(output.variable.kind == "real" for output in self.outputs)
+        self._squares = np.zeros(len(self._reals))  # of all real outputs: one pass over them is the fastest
+        self._squares_of_others = np.zeros(len(self.outputs) - self._n_real)
         self.clocks = self._like(like, factor, kept, plan) if like else self._own(plan)
 
     def _own(self, plan: Plan) -> list[Clock]:
@@ -144,15 +147,19 @@ class Bursts:
     @property
     def rms(self) -> Reals:
         """(outputs,) over all ticks."""
-        return np.asarray(np.sqrt(self.squares / max(1, self.last - self.first)))
+        of_reals = self._squares[[output.place for output in self.outputs[: self._n_real]]]
+        squares = np.concatenate([of_reals, self._squares_of_others])
+        return np.asarray(np.sqrt(squares / max(1, self.last - self.first)))
 
     def look(self, ticks: int) -> None:
         """To be called after each step of the master.  ticks: steps done."""
         now = self._now
         for table, where, places in self._tables:
             now[where] = table[places]
+        others = now[self._n_real :]
         with np.errstate(over="ignore"):
-            self.squares += now * now
+            self._squares += self._reals * self._reals
+            self._squares_of_others += others * others
         for clock in self.clocks:
             done = clock.done[0]
             if done < len(clock.ticks) and clock.ticks[done] == ticks:
@@ -163,7 +170,8 @@ class Bursts:
         return BurstsProgram(
             kinds=np.array([NUMBERS.index(output.variable.kind) for output in self.outputs], dtype=np.intp),
             places=np.array([output.place for output in self.outputs], dtype=np.intp),
-            squares=self.squares,
+            squares=self._squares,
+            squares_of_others=self._squares_of_others,
             clocks=[ClockProgram(c.ticks, c.chosen, c.values, c.done) for c in self.clocks],
         )
 

@@ -19,6 +19,7 @@ from ..warning import Kind, Warned
 from .system import System
 
 BLOCK = 1 << 13  # ticks
+STRIDE = BLOCK + 8  # from signal to signal in the buffer: powers of two would share the lines of a cache
 LIMIT = np.dtype([("kind", "i8"), ("place", "i8"), ("low", "f8"), ("high", "f8")])  # kind: its place in NUMBERS
 ANGLE = np.dtype([("place", "i8"), ("turn", "f8"), ("before", "f8")])
 
@@ -28,11 +29,12 @@ class SamplesProgram(NamedTuple):
 
     kinds: Table  # (n,) int64, as places in NUMBERS
     places: Places  # (n,)
-    values: Reals  # (n, block)
+    values: Reals  # (n, stride)
+    stride: int
     block: int
     first: int  # tick of the run
     bounded: Places  # (m,) in the table of reals
-    least: Reals  # (m,)
+    least: Reals  # (reals,)
     largest: Reals
 
 
@@ -59,15 +61,16 @@ class Samples:
         self._names = [f"{component}.{variable.name}" for component, variable in plan.measured]
         self._kinds = np.array([NUMBERS.index(v.kind) for _, v in plan.measured], dtype=np.int64)
         self._places = np.array([system.places[c, v.name] for c, v in plan.measured], dtype=np.intp)
-        self._values = np.zeros((len(self._names), BLOCK))
+        self._values = np.zeros((len(self._names), STRIDE))
         self._of_kind = [
             (system.tables[kind], *(np.ascontiguousarray(a) for a in (chosen, self._places[chosen])))
             for number, kind in enumerate(NUMBERS)
             if len(chosen := (self._kinds == number).nonzero()[0])
         ]
         self._bounded = np.array([system.places[c, v.name] for c, v in plan.bounded], dtype=np.intp)
-        self._least = np.full(len(self._bounded), math.inf)
-        self._largest = np.full(len(self._bounded), -math.inf)
+        self._reals = system.tables["real"]
+        self._least = np.full(len(self._reals), math.inf)
+        self._largest = np.full(len(self._reals), -math.inf)
         grid = plan.experiment.grid
         self._meters = {
             name: Meter(spec, plan.units, plan.angles, grid.ticks(spec["every"]) or 1 if "every" in spec else 1)
@@ -81,13 +84,12 @@ class Samples:
         for table, chosen, places in self._of_kind:
             self._values[chosen, column] = table[places]
         if len(self._bounded):
-            values = self._system.tables["real"][self._bounded]
-            np.minimum(self._least, values, out=self._least)
-            np.maximum(self._largest, values, out=self._largest)
+            np.copyto(self._least, self._reals, where=self._reals < self._least)
+            np.copyto(self._largest, self._reals, where=self._reals > self._largest)
 
     def close_bounds(self) -> Reals:
         """(2, m): the least and the largest of each bounded signal since the last call."""
-        bounds = np.array([self._least, self._largest])
+        bounds = np.array([self._least[self._bounded], self._largest[self._bounded]])
         self._least.fill(math.inf)
         self._largest.fill(-math.inf)
         return bounds
@@ -122,6 +124,7 @@ class Samples:
             kinds=self._kinds,
             places=self._places,
             values=self._values,
+            stride=STRIDE,
             block=BLOCK,
             first=self._first,
             bounded=self._bounded,
