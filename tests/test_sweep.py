@@ -2,9 +2,12 @@
 
 import contextlib
 import csv
+import io
 import json
+import math
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -503,12 +506,18 @@ B = [1.5, 2.75, 5.5, 3.25, 6.25, 3.0, 4.5, 1.5]
 C = [3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 0.5, 2.0]
 
 
-@pytest.fixture
-def judged(tmp_path):
-    """A sweep of three controllers with known numbers, as files."""
-    folder = tmp_path / "results" / "known-0123456789"
+MASSES = range(8, 99)
+
+
+def known(folder, runs, lists=None, draws=8, **metric):
+    """A sweep with known numbers, as files; returns its folder.
+
+    runs: its rows, each {"key": cell, ...} with "draw", "rmse" and what else the table has; lists: as in sweep.json.
+    """
+    folder = folder / "results" / "known-0123456789"
     folder.mkdir(parents=True)
-    keys = [FMU, "components.vehicle.parameters.m", "components.vehicle.parameters.d"]
+    lists = lists or [[[FMU], [["a"], ["b"], ["c"]]]]
+    keys = [key for key in dict.fromkeys(key for run in runs for key in run) if "." in key]
     description = {
         "format": "orch-sweep",
         "format_version": 1,
@@ -517,28 +526,57 @@ def judged(tmp_path):
         "title": "Known",
         "experiment_toml": "title = 'Known'",
         "changes": {},
-        "draws": 8,
+        "draws": draws,
         "skip": 0,
         "design": "random",
         "seed": 1,
         "keep": "metrics",
         "keys": keys,
-        "labels": dict(zip(keys, ["controller.fmu", "vehicle.m", "vehicle.d"], strict=True)),
-        "lists": [[[FMU], [["a"], ["b"], ["c"]]]],
+        "labels": {key: key.removeprefix("components.").replace("parameters.", "") for key in keys},
+        "lists": lists,
         "distributions": {},
         "fmus": {},
-        "metrics": [{"name": "rmse", "of": "rmse", "unit": "m", "ranked": True}],
+        "metrics": [{"name": "rmse", "of": "rmse", "unit": "m", "ranked": True, **metric}],
     }
     (folder / "sweep.json").write_text(json.dumps(description))
-    lines = [",".join(["run", "draw", *keys, "run_id", "status", "rmse", "error"])]
-    for i, row in enumerate(zip(A, B, C, strict=True)):
-        for k, (name, value) in enumerate(zip("abc", row, strict=True)):
-            lines.append(f"{3 * i + k},{i},{name},{8 + i},{i * i % 7},{i}{k},completed,{value},")
-    lines.append("24,8,a,9,9,x,completed,9.0,")
-    lines.append("25,8,b,9,9,,failed,,it broke")
-    lines.append("26,8,c,9,9,,failed,,it broke")
-    (folder / "table.csv").write_text("\n".join(lines) + "\n")
+    with (folder / "table.csv").open("w", newline="") as file:
+        names = ["run", "draw", *keys, "run_id", "status", "rmse", "stopped_at", "warnings", "error"]
+        table = csv.DictWriter(file, names, restval="")
+        table.writeheader()
+        table.writerows({"run": i, "run_id": f"r{i}", "status": "completed", **run} for i, run in enumerate(runs))
     return folder
+
+
+def duel(*columns, key=FMU, names="abcdef", **changes):
+    """Rows of contenders with these numbers, draw by draw; in place of a number, a dictionary of facts of its run."""
+    runs = []
+    for draw, values in enumerate(zip(*columns, strict=True)):
+        for name, value in zip(names, values, strict=False):
+            facts = value if isinstance(value, dict) else {"rmse": value}
+            runs.append({key: name, MASS: MASSES[draw], "draw": draw, **facts})
+    return runs
+
+
+FAILS = {"status": "failed", "error": "it broke"}
+
+
+@pytest.fixture
+def judged(tmp_path):
+    """A sweep of three controllers with known numbers, as files."""
+    runs = [
+        {FMU: name, MASS: 8 + i, "components.vehicle.parameters.d": i * i % 7, "draw": i, "rmse": value}
+        for i, row in enumerate(zip(A, B, C, strict=True))
+        for name, value in zip("abc", row, strict=True)
+    ]
+    last = {MASS: 9, "components.vehicle.parameters.d": 9, "draw": 8}
+    runs += [{FMU: "a", **last, "rmse": 9.0}, {FMU: "b", **last, **FAILS}, {FMU: "c", **last, **FAILS}]
+    return known(tmp_path, runs)
+
+
+def statistics_of(orch):
+    """{contender: its summary}, of the only metric, and all of the JSON"""
+    statistics = orch("compare", "--sweep", "last", "--json").json
+    return {s["contender"]: s for s in statistics["summaries"]}, statistics
 
 
 def test_statistics_are_those_of_scipy(orch, judged):
@@ -567,14 +605,212 @@ def test_statistics_are_those_of_scipy(orch, judged):
 def test_a_sweep_is_compared_in_markdown_and_latex(orch, judged, tmp_path):
     assert orch("compare", "--sweep", "known", "-o", "t.md").code == 0
     lines = (tmp_path / "t.md").read_text().splitlines()
-    assert lines[0] == "| metric | controller.fmu | n | mean | 95 % interval | std | median |"
+    head = "| metric | controller.fmu | n | mean | 95 % interval | std | median | success | common draws |"
+    assert lines[0] == head
     assert re.match(r"\| rmse \[m\] \| a \| 9 \| 3\.500 \|", lines[2])
-    assert re.match(r"\| rmse \[m\] \| c \| 8 \| \*\*2\.938\*\* \|", lines[4])
+    assert lines[2].endswith("| 9 of 9 (70 .. 100 %) | **2.812 (n 8)** |")  # of the eight draws that all have
+    assert re.match(r"\| rmse \[m\] \| c \| 8 \| 2\.938 \|", lines[4])
+    assert lines[4].endswith("| 8 of 9 (57 .. 98 %) | 2.938 (n 8) |")
     assert any("left out of the statistics: b 1, c 1" in line for line in lines)
     text = orch("compare", "--sweep", "known", "--format", "latex").out
     assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
-    assert r"\textbf{2.938}" in text
+    assert r"\textbf{2.812 (n 8)}" in text
     assert orch("compare", "--sweep", "known", "--no-pairs").out.count("first") == 0
+
+
+def test_a_contender_that_never_settles_in_some_draws_does_not_win_over_one_that_always_does(orch, tmp_path):
+    always = [10.0 + 0.1 * k for k in range(20)]
+    sometimes = [9.0 if k < 13 else math.inf for k in range(20)]
+    known(tmp_path, duel(always, sometimes), of="settling_time", unit="s")
+    summaries, statistics = statistics_of(orch)
+    a, b = summaries["a"], summaries["b"]
+    assert (a["n"], b["n"], b["draws"], b["lost"]) == (20, 13, 20, {"never": 7})
+    p, n, z = 13 / 20, 20, stats.norm.ppf(0.975)  # Wilson (1927)
+    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2)
+    assert b["success_ci95"] == pytest.approx([(middle + sign * half) / (1 + z * z / n) for sign in (-1, 1)])
+    assert b["common"] == {"n": 13, "mean": 9.0}
+    assert (a["best"], b["best"]) == (False, False)
+    (pair,) = statistics["pairs"]
+    assert (pair["n"], pair["numbers"], pair["fewer"]) == (20, 13, "b")
+    ranked = [10.0 + 0.1 * k - 9.0 if k < 13 else -1000.0 for k in range(20)]  # any large number has the worst rank
+    assert pair["p"] == pytest.approx(stats.wilcoxon(ranked, zero_method="pratt").pvalue, rel=1e-12)
+    assert pair["difference"] == pytest.approx(np.mean(always[:13]) - 9.0)
+    text = unwrapped(orch("compare", "--sweep", "last").out)
+    assert "never, the worst rank in tests and in no mean: rmse of b in 7 of 20 draws" in text
+    assert "13 of 20 (43 .. 82 %)" in text
+
+
+def unwrapped(text):
+    return " ".join(text.split())
+
+
+def test_a_contender_does_not_win_because_its_bad_draws_fail(orch, tmp_path, write):
+    """y = gain * a: gain 2 is twice as bad in every common draw, and fails where a > 0.6."""
+    a = [k / 20 for k in range(1, 21)]
+    known(tmp_path, duel(a, [2 * x if x <= 0.6 else FAILS for x in a]))
+    summaries, statistics = statistics_of(orch)
+    assert summaries["a"]["best"]
+    assert summaries["b"]["lost"] == {"failed": 8}
+    assert summaries["a"]["common"] == {"n": 12, "mean": pytest.approx(np.mean(a[:12]))}
+    (pair,) = statistics["pairs"]
+    assert (pair["n"], pair["effect"], pair["smaller"]) == (12, -1.0, "a")
+
+
+def test_a_contender_with_fewer_successes_is_not_the_best_though_its_rest_is_better(orch, tmp_path):
+    known(tmp_path, duel([2.0 + 0.1 * k for k in range(20)], [1.0 + 0.1 * k if k % 4 else FAILS for k in range(20)]))
+    summaries, statistics = statistics_of(orch)
+    assert not any(s["best"] for s in summaries.values())
+    assert (statistics["pairs"][0]["smaller"], statistics["pairs"][0]["fewer"]) == ("b", "b")
+    text = unwrapped(orch("compare", "--sweep", "last").out)
+    assert "b §" in text
+    assert "§ smaller where it has a number, and has one in fewer draws than the other" in text
+
+
+@pytest.mark.parametrize(
+    ("facts", "why"),
+    [
+        ({"stopped_at": 2.0}, "ended early"),
+        ({"warnings": "other unstable"}, "warned: unstable at this step"),
+        ({"warnings": "rows"}, "metrics of its rows, not of every step"),
+    ],
+)
+def test_runs_that_ended_early_or_warned_are_counted_marked_and_never_the_best(orch, tmp_path, facts, why):
+    good = [2.0 + 0.1 * k for k in range(20)]
+    bad = [{"rmse": 0.1 + 0.01 * k, **(facts if k < 4 else {})} for k in range(20)]
+    known(tmp_path, duel(good, bad, [5.0 + k for k in range(20)]))
+    summaries, statistics = statistics_of(orch)
+    assert summaries["b"]["lost"] == {why: 4}
+    assert summaries["b"]["marked"]
+    assert summaries["b"]["n"] == 16
+    assert not summaries["b"]["best"]
+    assert not summaries["a"]["best"] or summaries["a"]["draws"] == summaries["a"]["n"]
+    assert statistics["footnotes"] == [f"4 of the 20 draws of b {why}"]
+    for form, mark in (("table", "†"), ("markdown", "†"), ("latex", r"\textsuperscript{\dag}")):
+        text = unwrapped(orch("compare", "--sweep", "last", "--format", form).out)
+        assert f"0.2150{mark}" in text
+        assert f"{mark} not in the numbers, and never the best: 4 of the 20 draws of b {why}" in text
+    rows = list(csv.DictReader(io.StringIO(orch("compare", "--sweep", "last", "--format", "csv").out.split("\n\n")[0])))
+    assert [row["marked"] for row in rows] == ["", f"4 {why}", ""]
+
+
+def test_a_run_that_switches_loses_only_metrics_that_count_changes(orch, tmp_path):
+    runs = duel([2.0, 3.0, 4.0], [{"rmse": 1.0 + k, "warnings": "switching"} for k in range(3)])
+    known(tmp_path, runs, of="total_variation")
+    assert statistics_of(orch)[0]["b"]["lost"] == {"warned: switches in every step": 3}
+    shutil.rmtree(tmp_path / "results")
+    known(tmp_path, runs)
+    summaries, statistics = statistics_of(orch)
+    assert summaries["b"]["best"]
+    assert "runs with other warnings: b 3; see orch show" in statistics["notes"]
+
+
+def test_draws_of_the_same_values_count_once(orch, tmp_path):
+    """Thirty draws of a choice of two masses, under two contenders, are four distinct runs."""
+    values = {("a", 9): 1.0, ("a", 11): 2.0, ("b", 9): 1.5, ("b", 11): 2.5}
+    drawn = [9 if k % 3 else 11 for k in range(30)]
+    runs = [{FMU: n, MASS: m, "draw": k, "rmse": values[n, m]} for k, m in enumerate(drawn) for n in "ab"]
+    known(tmp_path, runs, draws=30)
+    summaries, statistics = statistics_of(orch)
+    assert [(s["n"], s["draws"], s["mean"]) for s in summaries.values()] == [(2, 2, 1.5), (2, 2, 2.0)]
+    assert statistics["pairs"][0]["n"] == 2
+    assert statistics["pairs"][0]["p"] == 0.5
+    assert "60 runs are 4 distinct ones: values that were drawn again count once" in statistics["notes"]
+
+
+def test_a_tie_and_a_single_draw_have_no_best(orch, tmp_path):
+    known(tmp_path, duel([1.0, 2.0, 3.0], [3.0, 2.0, 1.0], [4.0, 4.0, 4.0]))
+    assert not any(s["best"] for s in statistics_of(orch)[0].values())
+    assert "*" not in orch("compare", "--sweep", "last").out
+    shutil.rmtree(tmp_path / "results")
+    known(tmp_path, duel([1.0], [2.0]))
+    assert not any(s["best"] for s in statistics_of(orch)[0].values())
+
+
+def test_an_interval_of_few_draws_says_that_it_is_not_one_to_lean_on(orch, tmp_path):
+    known(tmp_path, duel([float(k * k) for k in range(9)], [float(k) for k in range(9)]))
+    assert {s["ci95_reliable"] for s in statistics_of(orch)[0].values()} == {False}
+    text = unwrapped(orch("compare", "--sweep", "last").out)
+    assert "‡ of fewer than 10 draws: not an interval to lean on" in text
+    shutil.rmtree(tmp_path / "results")
+    known(tmp_path, duel([float(k * k) for k in range(10)], [float(k) for k in range(10)]))
+    assert {s["ci95_reliable"] for s in statistics_of(orch)[0].values()} == {True}
+    assert "‡" not in orch("compare", "--sweep", "last").out
+
+
+@pytest.mark.parametrize("key", ["master.stop_time", "master.step", "metrics.rmse.after"])
+def test_contenders_whose_metric_is_not_the_same_have_no_best(orch, tmp_path, key):
+    runs = duel([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], key=key, names=("1", "2"))
+    known(tmp_path, runs, lists=[[[key], [[1], [2]]]])
+    summaries, statistics = statistics_of(orch)
+    assert not any(s["best"] for s in summaries.values())
+    assert any("not one metric for all, since " in note for note in statistics["notes"])
+
+
+def test_errors_of_either_sign_are_ranked_by_their_size(orch, tmp_path):
+    known(tmp_path, duel([-3.0, 3.0, -3.0, 3.0], [0.1, 0.2, 0.1, 0.2]), of="final")
+    summaries, statistics = statistics_of(orch)
+    assert (summaries["a"]["mean"], summaries["b"]["mean"]) == (3.0, pytest.approx(0.15))
+    assert summaries["b"]["best"]
+    assert statistics["pairs"][0]["effect"] == 1.0
+    assert "|rmse| [m]" in orch("compare", "--sweep", "last").out
+
+
+def test_means_of_angles_are_taken_on_the_circle(orch, tmp_path):
+    """Headings around north and around south, where numbers jump."""
+    north, south = [350.0, 10.0, 20.0, 340.0], [179.0, -179.0, -178.0, 178.0]
+    known(tmp_path, duel(north, south), of="heading_difference", unit="deg", ranked=False, turn=360.0)
+    summaries, statistics = statistics_of(orch)
+    assert summaries["a"]["mean"] == pytest.approx(0.0, abs=1e-12)
+    assert abs(summaries["b"]["mean"]) == pytest.approx(180.0)
+    assert summaries["a"]["std"] == pytest.approx(np.std([-10, 10, 20, -20], ddof=1))
+    low, high = summaries["b"]["ci95"]
+    assert low < summaries["b"]["mean"] < high
+    assert high - low < 4.0
+    assert abs(statistics["pairs"][0]["difference"]) == pytest.approx(180.0, abs=2.0)
+
+
+def test_which_metrics_are_angles_is_in_the_sweep(orch, sweep, write):
+    sweep["metrics"] = {
+        "heading": {"of": "final", "signal": "vehicle.eta.psi", "unit": "deg"},
+        "error_psi": {"of": "final", "signal": "vehicle.eta.psi", "reference": "reference.eta_d.psi"},
+        "depth": {"of": "final", "signal": "vehicle.eta.z"},
+    }
+    answer = orch("sweep", write(sweep), "--set", "sweep.draws=1", "--json")
+    assert answer.code == 0, answer.err
+    folder = answer.json["folder"]
+    metrics = json.loads((Path(folder) / "sweep.json").read_text())["metrics"]
+    assert [(m["name"], m["turn"]) for m in metrics] == [("heading", 360.0), ("error_psi", 0.0), ("depth", 0.0)]
+
+
+def test_a_sweep_whose_fmu_ends_early_says_so_in_its_table_and_its_report(orch, models, write, tmp_path):
+    """The contender that its FMU ends at 0.02 s of 0.05 s has the smaller rms in every draw."""
+    path = write(
+        {
+            "master": {"stop_time": 0.05, "step": 0.01},
+            "components": {"one": {"fmu": "trouble", "start": {"u": 0.0}}},
+            "metrics": {"rms_y": {"of": "rms", "signal": "one.y"}},
+            "sweep": {
+                "draws": 6,
+                "vary": {
+                    "components.one.parameters.kind": [0, 4],
+                    "components.one.parameters.at": {"distribution": "uniform", "low": 0.015, "high": 0.025},
+                },
+            },
+        }
+    )
+    done = orch("sweep", path, "--json")
+    assert done.json["marked"] == {"ended early": 6}
+    table = Path(done.json["table"])
+    content = table.read_bytes()
+    rows = list(csv.DictReader(content.decode().splitlines()))
+    assert {row["stopped_at"] for row in rows[::2]} == {""}
+    assert {float(row["stopped_at"]) for row in rows[1::2]} <= {0.02, 0.03}
+    again = orch("sweep", path)
+    assert "12: 12 completed, of which 6 ended early, 0 failed, 0 missing" in again.out
+    assert table.read_bytes() == content  # of reused records, too
+    text = orch("compare", "--sweep", "last").out
+    assert "6 of the 6 draws of 4 ended early" in unwrapped(text)
+    assert "*" not in text
 
 
 def test_a_name_that_a_sweep_lacks_is_answered_with_the_nearest_one(orch, judged):
@@ -600,7 +836,7 @@ def test_a_sweep_is_drawn_and_reported(orch, judged, tmp_path):
     text = (tmp_path / "one.html").read_text()
     assert text == (tmp_path / "two.html").read_text()
     assert text.count("<svg") == 4
-    assert "<b>2.938</b>" in text
+    assert "<b>2.812 (n 8)</b>" in text
     assert not re.search(r"(src|href)=\"https?:", text)
 
 

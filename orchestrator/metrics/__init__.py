@@ -4,7 +4,7 @@
 """
 
 from .accumulators import distance, on_circle, overshoot, settling_time
-from .specs import METRICS, STATISTICS, Meter, finite, problems, signals_of, smaller_is_better, text, unit_of
+from .specs import METRICS, STATISTICS, Meter, finite, problems, signals_of, smaller_is_better, text, turn_of, unit_of
 
 __all__ = [
     "METRICS",
@@ -19,5 +19,6 @@ __all__ = [
     "signals_of",
     "smaller_is_better",
     "text",
+    "turn_of",
     "unit_of",
 ]

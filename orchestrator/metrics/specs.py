@@ -35,6 +35,7 @@ class Metric:
     axes: tuple[str, ...] = ()  # of the vectors that `signal` and `reference` name; ("*",): every axis
     ranks: str = "always"  # whether a smaller magnitude is better: "always", "never", "of an error" (with a reference)
     counts: bool = False  # what happens from step to step: no power law of the step
+    angle: str = "never"  # whether the number is itself an angle: "always", "never", "of an angle" (without reference)
 
     @property
     def meaning(self) -> str:
@@ -57,7 +58,7 @@ METRICS = {
     "ise": Metric(accumulators.Ise, "({})2.s"),
     "itae": Metric(accumulators.Itae, "{}.s2"),
     "max_abs": Metric(accumulators.MaxAbs),
-    "final": Metric(accumulators.Final, ranks="of an error"),
+    "final": Metric(accumulators.Final, ranks="of an error", angle="of an angle"),
     "settling_time": Metric(accumulators.SettlingTime, "s", needs=("band",)),
     "convergence_time": Metric(accumulators.ConvergenceTime, "s", needs=("band",)),
     "overshoot": Metric(accumulators.Overshoot, "%", needs=("reference",), takes=("wrap",)),
@@ -68,7 +69,13 @@ METRICS = {
         accumulators.Distance, "m", needs=("reference",), takes=("stat",), axes=("x", "y", "z"), ranks="never"
     ),
     "heading_difference": Metric(
-        accumulators.HeadingDifference, "deg", needs=("reference",), takes=("stat",), axes=("psi",), ranks="never"
+        accumulators.HeadingDifference,
+        "deg",
+        needs=("reference",),
+        takes=("stat",),
+        axes=("psi",),
+        ranks="never",
+        angle="always",
     ),
 }
 
@@ -161,6 +168,18 @@ def unit_of(spec: Mapping[str, Any], units: Mapping[str, str]) -> str:
     unit = spec.get("unit") or units.get(spec["signal"], "")
     shown = METRICS[spec["of"]].unit.format(unit)
     return shown.replace("1.s", "s").replace("(1)2.s", "s") if unit == "1" else shown
+
+
+def turn_of(spec: Mapping[str, Any], units: Mapping[str, str], angles: Container[str]) -> float:
+    """A full turn in the unit of a metric that is itself an angle, whose means are taken on the circle; else 0.
+
+    units: {signal: unit}; angles: signals whose differences are differences on the circle.
+    """
+    metric = METRICS[spec["of"]]
+    is_angle = metric.angle == "always" or (
+        metric.angle == "of an angle" and "reference" not in spec and spec["signal"] in angles
+    )
+    return _turn(unit_of(spec, units)) if is_angle else 0.0
 
 
 def smaller_is_better(spec: Mapping[str, Any]) -> bool:

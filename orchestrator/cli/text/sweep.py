@@ -50,7 +50,10 @@ def swept(result: SweepResult) -> str:
     """The result of a sweep."""
     facts, prepared = _facts(result), result.prepared
     lines = [f"{prepared.experiment.path.stem} sweep {prepared.sweep_id}: {facts['status']}"]
-    counts = f"{facts['completed']} completed, {facts['failed']} failed, {facts['missing']} missing"
+    of_which = ", ".join(["", *(f"{n} {reason}" for reason, n in facts["marked"].items())]).replace(
+        ",", ", of which", 1
+    )
+    counts = f"{facts['completed']} completed{of_which}, {facts['failed']} failed, {facts['missing']} missing"
     shown = [
         ("runs", f"{facts['runs']}: {counts}"),
         ("reused", str(facts["reused"])),
@@ -126,6 +129,7 @@ def _facts(result: SweepResult) -> Mapping[str, Any]:
         "completed": result.count("completed"),
         "failed": result.count(FAILED),
         "missing": result.missing,
+        "marked": result.marked,
         "reused": result.reused,
         "wall_time": result.wall_time,
     }

@@ -9,14 +9,14 @@ import fnmatch
 import glob
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ... import warning
 from ...errors import StoreError, did_you_mean
-from ...metrics import METRICS, finite, smaller_is_better, unit_of
+from ...metrics import METRICS, finite, smaller_is_better, turn_of, unit_of
 from ...warning import Warned
 from ..file.marks import Standing, standing_of
 from ..file.run import Run, metrics_in
@@ -29,20 +29,28 @@ DIGITS = 4  # significant ones, of the numbers in tables; the best is judged at 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A metric.  of: its kind, a key of METRICS; unit: "" where it has none; ranked: whether the smallest is best."""
+    """A metric.
+
+    of: its kind, a key of METRICS; unit: "" where it has none; ranked: whether the smallest magnitude is best; turn: a
+    full turn in its unit where the number is an angle, whose means are taken on the circle, else 0.
+    """
 
     name: str
     of: str
     unit: str
     ranked: bool
+    turn: float = 0.0
 
     @classmethod
-    def of_spec(cls, name: str, spec: Mapping[str, Any], units: Mapping[str, str]) -> Column:
-        """Of an entry of [metrics].  units: {signal: unit}."""
+    def of_spec(
+        cls, name: str, spec: Mapping[str, Any], units: Mapping[str, str], angles: Container[str] = ()
+    ) -> Column:
+        """Of an entry of [metrics].  units: {signal: unit}; angles: the signals that are angles, for means."""
         if spec["of"] not in METRICS:  # in a record of another version of orch
             return cls(name=name, of=spec["of"], unit=spec.get("unit", ""), ranked=False)
         unit = unit_of(spec, units)
-        return cls(name=name, of=spec["of"], unit="" if unit == "1" else unit, ranked=smaller_is_better(spec))
+        ranked, turn = smaller_is_better(spec), turn_of(spec, units, angles)
+        return cls(name=name, of=spec["of"], unit="" if unit == "1" else unit, ranked=ranked, turn=turn)
 
     @property
     def head(self) -> str:

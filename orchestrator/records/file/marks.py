@@ -14,7 +14,7 @@ from ...metrics import METRICS
 from ...warning import Kind
 
 DAGGER = "†"
-COMPLETED = "completed"
+COMPLETED, EARLY = "completed", "ended early"
 WORDS = {
     Kind.UNSTABLE: "warned: unstable at this step",
     Kind.ROWS: "metrics of its rows, not of every step",
@@ -36,14 +36,19 @@ class Standing:
     @property
     def marks(self) -> tuple[str, ...]:
         """Why none of its numbers may be compared, a few words each; () where nothing speaks against them."""
-        ended = [self.status] if self.status != COMPLETED else []
-        early = [f"ended early at {self.stopped_at:.6g} s"] if self.stopped_at is not None else []
-        return (*ended, *early, *(WORDS[kind] for kind in WORDS if kind in warning.WRONG and kind in self.kinds))
+        return self.marks_of("")
 
     def marks_of(self, of: str) -> tuple[str, ...]:
         """Why a metric of the kind `of`, a key of METRICS, may not be compared: `marks`, and what only it suffers."""
-        counts = of in METRICS and METRICS[of].counts
-        return self.marks + ((WORDS[Kind.SWITCHING],) if counts and Kind.SWITCHING in self.kinds else ())
+        return tuple(f"{why} at {self.stopped_at:.6g} s" if why == EARLY else why for why in self.reasons_of(of))
+
+    def reasons_of(self, of: str) -> tuple[str, ...]:
+        """`marks_of` without times: the same words for all runs that have one fate."""
+        ended = [self.status] if self.status != COMPLETED else []
+        early = [EARLY] if self.stopped_at is not None else []
+        wrong = [WORDS[kind] for kind in WORDS if kind in warning.WRONG and kind in self.kinds]
+        counts = of in METRICS and METRICS[of].counts and Kind.SWITCHING in self.kinds
+        return (*ended, *early, *wrong, *([WORDS[Kind.SWITCHING]] if counts else []))
 
 
 def standing_of(attributes: Mapping[str, Any], status: str) -> Standing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,15 @@ from .matrix import DesignPoint, cells_of, labels
 
 FORMAT = "orch-sweep"
 ID_LENGTH = 10
-COLUMNS = ("run", "draw", "run_id", "status", "error")  # of the table, beside what varies and the metrics
+COLUMNS = (
+    "run",
+    "draw",
+    "run_id",
+    "status",
+    "stopped_at",
+    "warnings",
+    "error",
+)  # of the table, beside what varies and the metrics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +116,7 @@ class PreparedSweep:
             "lists": [[list(keys), [list(row) for row in rows]] for keys, rows in spec.lists],
             "distributions": spec.distributions,
             "fmus": self.fmus,
-            "metrics": [{"name": c.name, "of": c.of, "unit": c.unit, "ranked": c.ranked} for c in self.columns],
+            "metrics": [asdict(c) for c in self.columns],
         }
 
 
@@ -224,9 +232,11 @@ def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Repo
 
 def _columns(plans: Sequence[Plan]) -> list[Column]:
     units: dict[str, str] = {}
+    angles: set[str] = set()
     for plan in plans:
         units |= plan.units
-    return [Column.of_spec(name, spec, units) for name, spec in plans[0].experiment.metrics.items()]
+        angles |= plan.angles
+    return [Column.of_spec(name, spec, units, angles) for name, spec in plans[0].experiment.metrics.items()]
 
 
 def _dropped(experiment: Experiment, spec: SweepSpec) -> list[str]:

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep, SweepJob
 from . import cluster, fmu_cache, table, worker
 from .storage import PART, Storage
-from .worker import FAILED, PointResult
+from .worker import COMPLETED, FAILED, PointResult
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -51,6 +51,12 @@ class SweepResult:
 
     def count(self, status: str) -> int:
         return sum(result.status == status for result in self.by_index.values())
+
+    @property
+    def marked(self) -> dict[str, int]:
+        """{what speaks against the numbers of completed runs: how many}"""
+        completed = [result.standing for result in self.by_index.values() if result.status == COMPLETED]
+        return dict(Counter(reason for standing in completed for reason in standing.reasons_of("")))
 
     @property
     def reused(self) -> int:

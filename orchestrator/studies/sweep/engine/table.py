@@ -6,12 +6,14 @@ import csv
 import io
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
+from ....records.file.marks import Standing
 from ..design.matrix import DesignPoint
 from ..design.prepared import FORMAT
 from .storage import Storage
@@ -24,17 +26,19 @@ def text(points: Sequence[DesignPoint], results: Mapping[int, PointResult], metr
     """The table as CSV.
 
     Numbers read back to the same bits.  inf: what the metric is the time of never happens; nan: it has no value; an
-    empty cell: it has no sample, or the run has no metrics.
+    empty cell: it has no sample, or the run has no metrics.  stopped_at: when an FMU ended the run before its stop time
+    [s]; warnings: their kinds, "other" of those that have none.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     keys = list(points[0].cells)
-    writer.writerow(["run", "draw", *keys, "run_id", "status", *metrics, "error"])
+    writer.writerow(["run", "draw", *keys, "run_id", "status", *metrics, "stopped_at", "warnings", "error"])
     for point in points:
         result = results.get(point.index, PointResult(point.index))
         cells = [_cell(point.cells[key]) for key in keys]
         numbers = [_cell(result.metrics.get(name)) for name in metrics]
-        writer.writerow([point.index, point.draw, *cells, result.run_id, result.status, *numbers, result.error])
+        said = [_cell(result.stopped_at), " ".join(result.warnings), result.error]
+        writer.writerow([point.index, point.draw, *cells, result.run_id, result.status, *numbers, *said])
     return stream.getvalue()
 
 
@@ -78,6 +82,24 @@ class SweepTable:
     @property
     def completed(self) -> list[dict[str, Any]]:
         return [row for row in self.rows if row["status"] == COMPLETED]
+
+    @property
+    def counts(self) -> str:
+        """600 runs, 590 completed, of which 3 ended early, 4 warned: unstable at this step"""
+        marks = Counter(reason for row in self.completed for reason in standing_of(row).reasons_of(""))
+        text = f"{len(self.rows)} runs, {len(self.completed)} completed"
+        return f"{text}, of which {', '.join(f'{n} {mark}' for mark, n in marks.items())}" if marks else text
+
+    @property
+    def knows_marks(self) -> bool:
+        """Whether it says which runs ended early or warned; tables of earlier versions do not."""
+        return all("warnings" in row for row in self.rows)
+
+
+def standing_of(row: Mapping[str, Any]) -> Standing:
+    """How the run of a row stands."""
+    stopped_at = float(row["stopped_at"]) if row.get("stopped_at") else None
+    return Standing(status=row["status"], stopped_at=stopped_at, kinds=tuple((row.get("warnings") or "").split()))
 
 
 def find(results: str, sweep: str) -> SweepTable:

@@ -18,6 +18,7 @@ from ....errors import OrchError
 from ....plan.plan import Plan
 from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
+from ....records.file.marks import Standing, kinds_of
 from ....records.file.provenance import versions
 from ....records.file.run import Run
 from ....simulation.observer import Interrupt
@@ -36,6 +37,7 @@ class PointResult:
     """How one run of a sweep ended.
 
     metrics: those that have a sample, inf where what one is the time of never happens, nan where one has no value.
+    stopped_at: when an FMU ended it before its stop time [s]; warnings: their kinds, see `records.file.marks`.
     seconds: of wall time; fresh: False where its record existed.
     """
 
@@ -44,8 +46,15 @@ class PointResult:
     status: str = MISSING
     error: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
+    stopped_at: float | None = None
+    warnings: tuple[str, ...] = ()
     seconds: float = 0.0
     fresh: bool = True
+
+    @property
+    def standing(self) -> Standing:
+        """Whether its numbers may be compared, and why not."""
+        return Standing(status=self.status, stopped_at=self.stopped_at, kinds=self.warnings)
 
 
 _interrupts: dict[str, Interrupt] = {}
@@ -89,16 +98,24 @@ def _run(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage, i
     run_id = plan.digest[:ID_LENGTH]
     name = f"{run_id}.h5"
     if storage.exists(name):
-        metrics = stored_metrics(storage, name, plan, job.keep)
-        if metrics is not None:
-            return PointResult(point.index, run_id, COMPLETED, metrics=metrics, fresh=False)
+        stored = _stored(storage, name, plan, job.keep)
+        if stored is not None:
+            return replace(stored, index=point.index, run_id=run_id)
     known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
     with storage.scratch(name) as path:
         record = perform(plan, path, job.keep, known, interrupt, cache)
         if record.outcome.status != "interrupted":
             storage.put(path, name)
-    metrics = _sampled(plan, record.metrics, record.outcome.ticks)
-    return PointResult(point.index, run_id, record.outcome.status, record.outcome.error, metrics)
+    outcome = record.outcome
+    return PointResult(
+        point.index,
+        run_id,
+        outcome.status,
+        outcome.error,
+        _sampled(plan, record.metrics, outcome.ticks),
+        outcome.stopped_at if outcome.ticks < plan.steps else None,
+        kinds_of(outcome.warnings),
+    )
 
 
 def plan_of(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage) -> Plan:
@@ -117,8 +134,8 @@ def _sampled(plan: Plan, metrics: Mapping[str, float], last: int) -> dict[str, f
     return {name: value for name, value in metrics.items() if plan.has_sample(name, last)}
 
 
-def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[str, float] | None:
-    """The metrics of a record that is complete, of this very run, and with these metrics and rows; else None.
+def _stored(storage: Storage, name: str, plan: Plan, keep: str) -> PointResult | None:
+    """The result in a record that is complete, of this very run, and with these metrics and rows; else None.
 
     All rows are read, so that HDF5 verifies their checksums.
     """
@@ -138,8 +155,17 @@ def stored_metrics(storage: Storage, name: str, plan: Plan, keep: str) -> dict[s
             ends = [name.partition(".")[::2] for name in record.signals]
             if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
                 return None
-            metrics = record.metrics
-            return _sampled(plan, metrics, last) if set(metrics) == set(plan.experiment.metrics) else None
+            if set(metrics := record.metrics) != set(plan.experiment.metrics):
+                return None
+            standing = record.standing
+            return PointResult(
+                0,
+                status=COMPLETED,
+                metrics=_sampled(plan, metrics, last),
+                stopped_at=standing.stopped_at,
+                warnings=standing.kinds,
+                fresh=False,
+            )
     except UNREADABLE:
         return None
 

@@ -1,9 +1,13 @@
-"""Statistics of a sweep: of each contender, and of every pair of them on the draws that both completed.
+"""Statistics of a sweep: of each contender, and of every pair of them on the draws that both have.
 
-Means have 95 % bootstrap intervals (BCa; Efron, 1987).  Pairs are compared draw by draw with Wilcoxon's signed-rank
-test (differences of zero as in Pratt, 1959), and the p-values of all comparisons of the table are corrected
-together (Holm, 1979).  The effect size is the matched-pairs rank-biserial correlation (Kerby, 2014): +1 where the first
-is larger in every draw, -1 where it is smaller in every one.
+A draw counts once, however often it was drawn.  A number that `records.file.marks` speaks against is none: the draw is
+lost to its contender, and counted.  `never` (inf) is no number for means, and the worst rank in tests.  What a metric
+is ranked by is its magnitude; angles are taken on the circle.  docs/sweeps.md states the rules.
+
+Means have 95 % bootstrap intervals (BCa; Efron, 1987), shares of draws Wilson's (1927).  Pairs are compared draw by
+draw with Wilcoxon's signed-rank test (differences of zero as in Pratt, 1959), and the p-values of all comparisons of
+the table are corrected together (Holm, 1979).  The effect size is the matched-pairs rank-biserial correlation (Kerby,
+2014): +1 where the first is larger in every draw, -1 where it is smaller in every one.
 """
 
 from __future__ import annotations
@@ -11,29 +15,33 @@ from __future__ import annotations
 import fnmatch
 import itertools
 import math
-import warnings
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ....arrays import Reals
-from ....errors import OrchError, StoreError, did_you_mean
-from ....records.compare.side_by_side import Column
-from ..engine.storage import MISSING
-from ..engine.table import SweepTable
+from ....errors import StoreError, did_you_mean
+from ....metrics.accumulators import on_circle
+from ....records.compare.side_by_side import Column, digits
+from ..engine.table import SweepTable, standing_of
+from ..engine.worker import COMPLETED, FAILED, MISSING
+from . import statistics
+from .outcomes import NEVER, NO_VALUE, Draw, DrawOutcome, cells, distinct, outcome, unlike
 
-RESAMPLES = 2000
-SEED = 20_191_104  # of the resampling, so that the same table gives the same intervals
 LEVEL = 0.05  # of significance
+FEW = 10  # draws, below which a bootstrap interval covers much less than it says
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContenderSummary:
-    """One contender and one metric, in its unit.
+    """One contender and one metric, in its unit, on the n draws in which it has a number.
 
-    n: completed runs with a number; low, high: the 95 % interval of the mean.
+    low, high: the 95 % interval of the mean; draws: distinct ones that were run; lost: {why: draws without a number};
+    share: Wilson's 95 % interval of n / draws; common: draws in which every contender that competes has a number, nan
+    of this one where it does not; common_mean: the mean on those, of magnitudes where the metric ranks by them.
     """
 
     contender: str
@@ -44,26 +52,44 @@ class ContenderSummary:
     median: float
     low: float
     high: float
+    draws: int
+    lost: Mapping[str, int]
+    share: tuple[float, float]
+    common: int
+    common_mean: float
+
+    @property
+    def marks(self) -> dict[str, int]:
+        """{what speaks against runs that completed: how many draws}"""
+        return {why: n for why, n in self.lost.items() if why not in (NEVER, NO_VALUE, FAILED)}
+
+    @property
+    def competes(self) -> bool:
+        """Whether it has a number in at least half of its draws; else its few would leave the others none."""
+        return self.n > 0 and 2 * self.n >= self.draws
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairComparison:
-    """Two contenders and one metric, on the n draws that both completed.
+    """Two contenders and one metric, on the n draws in which each has a number or `never`.
 
-    difference: the mean of first - second; low, high: its 95 % interval; p: of Wilcoxon's test; p_holm: corrected;
-    effect: the rank-biserial correlation, -1 .. 1.
+    numbers: of these, those in which both have a number; difference: the mean of first - second on them; low, high: its
+    95 % interval; p: of Wilcoxon's test on all n; p_holm: corrected; effect: the rank-biserial correlation, -1 .. 1;
+    fewer: the contender that has a number in fewer draws, or "".
     """
 
     first: str
     second: str
     metric: Column
     n: int
+    numbers: int
     difference: float
     low: float
     high: float
     p: float
     p_holm: float
     effect: float
+    fewer: str
 
     @property
     def smaller(self) -> str:
@@ -77,31 +103,42 @@ class PairComparison:
 class SweepAnalysis:
     """The statistics of one table.
 
-    by: what tells the contenders apart; keys: the columns that hold it; contenders: their names, in the order of the
-    file; failures: of each, the runs without a completed record; names: of the contenders, by their cells.
+    by: what tells the contenders apart; contenders: their names, in the order of the file; runs: {contender: {draw: its
+    row}}, each draw once; outcomes: what these say; failures: of each, the runs without a completed record; unlike:
+    the metrics that are not one metric for all contenders.
     """
 
     table: SweepTable
     by: str
-    keys: list[str]
     contenders: list[str]
     columns: list[Column]
     summaries: list[ContenderSummary]
     pairs: list[PairComparison]
     failures: dict[str, int]
+    footnotes: list[str]
     notes: list[str]
-    names: dict[tuple[str, ...], str]
-
-    def contender_of(self, row: dict[str, Any]) -> str:
-        return self.names[_cells(row, self.keys)]
+    runs: Mapping[str, Mapping[Draw, Mapping[str, Any]]]
+    outcomes: Mapping[tuple[str, Column], Mapping[Draw, DrawOutcome]]
+    unlike: set[str]
 
     def of(self, metric: Column) -> list[ContenderSummary]:
         return [s for s in self.summaries if s.metric == metric]
 
     def best(self, metric: Column) -> str:
-        """The contender whose mean is nearest to zero; "" where the metric has no best value, or no two have one."""
-        numbers = [s for s in self.of(metric) if math.isfinite(s.mean)]
-        return min(numbers, key=lambda s: abs(s.mean)).contender if metric.ranked and len(numbers) > 1 else ""
+        """The contender with the least mean magnitude on common draws; "" where that says nothing.
+
+        That is so where the metric has no best value or is not one metric for all, where fewer than two contenders
+        compete or have fewer than two draws in common, at a tie of the digits that are shown, and where another
+        contender has a number in more draws.  A contender with marked runs is never the best.
+        """
+        competing = [s for s in self.of(metric) if s.competes]
+        candidates = [s for s in competing if not s.marks]
+        if not metric.ranked or metric.name in self.unlike or len(competing) < 2 or not candidates:
+            return ""
+        least, *others = sorted(candidates, key=lambda s: s.common_mean)
+        tied = any(digits(s.common_mean) == digits(least.common_mean) for s in others)
+        fewer = any(s.n * least.draws > least.n * s.draws for s in self.of(metric))
+        return "" if least.common < 2 or tied or fewer else least.contender
 
 
 def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> SweepAnalysis:
@@ -113,39 +150,42 @@ def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> Sweep
     columns = _columns(table, globs)
     group = _group(table, by)
     names = _names(table, group)
-    values: dict[tuple[str, Column], dict[Any, float]] = {}
-    failures = dict.fromkeys(names.values(), 0)
-    others = [keys for keys in table.groups if keys != group]
-    for row in table.rows:
-        contender = names[_cells(row, group)]
-        if row["status"] != "completed":
-            failures[contender] += 1
-            continue
-        pair = (row["draw"], *(_cells(row, keys) for keys in others))
-        for column in columns:
-            if math.isfinite(row[column.name]):
-                values.setdefault((contender, column), {})[pair] = row[column.name]
     contenders = list(names.values())
-    summaries = [_summary(c, column, values.get((c, column), {})) for column in columns for c in contenders]
+    runs = distinct(table, group, names)
+    outcomes = {
+        (contender, column): {draw: outcome(row, column) for draw, row in runs[contender].items()}
+        for contender in contenders
+        for column in columns
+    }
+    differs = unlike(table, group, columns)
+    summaries = [
+        s for column in columns for s in _summaries([outcomes[c, column] for c in contenders], contenders, column)
+    ]
     pairs = [
-        _pair(one, other, column, values.get((one, column), {}), values.get((other, column), {}))
+        _pair(one, other, column, outcomes[one, column], outcomes[other, column])
         for column in columns
         for one, other in itertools.combinations(contenders, 2)
     ]
     short = len({cells[:1] for cells in names}) == len(names)  # the first key of a zipped group may be enough
     by = " + ".join(table.labels[key] for key in group[: 1 if short else None]) or "runs"
-    notes = _notes(failures, table)
+    failures = dict.fromkeys(contenders, 0)
+    for row in table.rows:
+        failures[names[cells(row, group)]] += row["status"] != COMPLETED
     return SweepAnalysis(
         table=table,
         by=by,
-        keys=group,
         contenders=contenders,
         columns=columns,
         summaries=summaries,
-        pairs=_corrected(pairs),
+        pairs=[
+            replace(pair, p_holm=p) for pair, p in zip(pairs, statistics.holm([pair.p for pair in pairs]), strict=True)
+        ],
         failures=failures,
-        notes=notes,
-        names=names,
+        footnotes=_footnotes(summaries),
+        notes=[*_notes(failures, table), *_counts(table, runs, summaries, columns, differs)],
+        runs=runs,
+        outcomes=outcomes,
+        unlike=set(differs),
     )
 
 
@@ -167,13 +207,9 @@ def _group(table: SweepTable, by: str) -> list[str]:
     return known[by]
 
 
-def _cells(row: dict[str, Any], keys: Sequence[str]) -> tuple[str, ...]:
-    return tuple(row[key] for key in keys)
-
-
 def _names(table: SweepTable, group: list[str]) -> dict[tuple[str, ...], str]:
     """{cells of the group: name of the contender}, the first cell, or all where two contenders share the first one."""
-    different = list(dict.fromkeys(_cells(row, group) for row in table.rows))
+    different = list(dict.fromkeys(cells(row, group) for row in table.rows))
     if not group:
         return {(): table.description["experiment"]}
     short = [cells[0] for cells in different]
@@ -181,74 +217,73 @@ def _names(table: SweepTable, group: list[str]) -> dict[tuple[str, ...], str]:
     return dict(zip(different, names, strict=True))
 
 
-def _summary(contender: str, metric: Column, values: dict[Any, float]) -> ContenderSummary:
-    x: Reals = np.array([values[pair] for pair in sorted(values, key=repr)])
-    n, (low, high) = len(x), _interval(x)
+def _summaries(
+    outcomes: Sequence[Mapping[Draw, DrawOutcome]], contenders: Sequence[str], metric: Column
+) -> list[ContenderSummary]:
+    """Of all contenders and one metric; outcomes: of each."""
+    summaries = [_summary(name, metric, of) for name, of in zip(contenders, outcomes, strict=True)]
+    numbers = [_numbers(of) for of in outcomes]
+    competing = [set(x) for x, s in zip(numbers, summaries, strict=True) if s.competes]
+    common = sorted(set.intersection(*competing)) if competing else []
+    means = [
+        statistics.mean(np.array([x[draw] for draw in common]), metric.turn) if s.competes else math.nan
+        for x, s in zip(numbers, summaries, strict=True)
+    ]
+    return [replace(s, common=len(common), common_mean=mean) for s, mean in zip(summaries, means, strict=True)]
+
+
+def _numbers(outcomes: Mapping[Draw, DrawOutcome]) -> dict[Draw, float]:
+    return {draw: one.value for draw, one in outcomes.items() if math.isfinite(one.value)}
+
+
+def _summary(contender: str, metric: Column, outcomes: Mapping[Draw, DrawOutcome]) -> ContenderSummary:
+    """Without what needs the other contenders."""
+    numbers = _numbers(outcomes)
+    x: Reals = np.array([numbers[draw] for draw in sorted(numbers)])
+    n, draws, (low, high) = len(x), len(outcomes), statistics.interval(x, metric.turn)
     return ContenderSummary(
         contender=contender,
         metric=metric,
         n=n,
-        mean=float(x.mean()) if n else math.nan,
-        std=float(x.std(ddof=1)) if n > 1 else math.nan,
-        median=float(np.median(x)) if n else math.nan,
+        mean=statistics.mean(x, metric.turn),
+        std=statistics.std(x, metric.turn),
+        median=statistics.median(x, metric.turn),
         low=low,
         high=high,
+        draws=draws,
+        lost=Counter(one.why for one in outcomes.values() if one.why),
+        share=statistics.share(n, draws),
+        common=0,
+        common_mean=math.nan,
     )
 
 
-def _pair(first: str, second: str, metric: Column, one: dict[Any, float], other: dict[Any, float]) -> PairComparison:
-    shared = sorted(one.keys() & other.keys(), key=repr)
-    d: Reals = np.array([one[pair] - other[pair] for pair in shared])
-    n, (low, high) = len(d), _interval(d)
-    p, effect = _wilcoxon(d) if n else (math.nan, math.nan)
+def _pair(
+    first: str, second: str, metric: Column, one: Mapping[Draw, DrawOutcome], other: Mapping[Draw, DrawOutcome]
+) -> PairComparison:
+    ran = one.keys() & other.keys()
+    shared = sorted(draw for draw in ran if not (math.isnan(one[draw].value) or math.isnan(other[draw].value)))
+    a, b = (np.array([of[draw].value for draw in shared]) for of in (one, other))
+    numbers = np.isfinite(a) & np.isfinite(b)
+    d: Reals = a[numbers] - b[numbers]
+    d = on_circle(d, metric.turn) if metric.turn else d
+    low, high = statistics.interval(d, metric.turn)
+    p, effect = statistics.wilcoxon(statistics.with_never(a, b, numbers, d)) if len(shared) else (math.nan, math.nan)
+    has = [sum(math.isfinite(of[draw].value) for draw in ran) for of in (one, other)]
     return PairComparison(
         first=first,
         second=second,
         metric=metric,
-        n=n,
-        difference=float(d.mean()) if n else math.nan,
+        n=len(shared),
+        numbers=len(d),
+        difference=statistics.mean(d, metric.turn),
         low=low,
         high=high,
         p=p,
         p_holm=math.nan,
         effect=effect,
+        fewer=first if has[0] < has[1] else second if has[1] < has[0] else "",
     )
-
-
-def _interval(x: Reals) -> tuple[float, float]:
-    """The 95 % interval of the mean of x (N,)."""
-    stats = _stats()
-    if len(x) < 2:
-        return math.nan, math.nan
-    if float(np.ptp(x)) == 0.0:
-        return float(x[0]), float(x[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a degenerate distribution gives nan, which is shown
-        result = stats.bootstrap((x,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(SEED), method="BCa")
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)
-
-
-def _wilcoxon(d: Reals) -> tuple[float, float]:
-    """The two-sided p-value and the rank-biserial correlation of paired differences d (N,)."""
-    stats = _stats()
-    if not d.any():
-        return 1.0, 0.0
-    ranks = stats.rankdata(abs(d))
-    above, below = float(ranks[d > 0].sum()), float(ranks[d < 0].sum())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # few draws: the p-value is approximate
-        p = float(stats.wilcoxon(d, zero_method="pratt").pvalue)
-    return p, (above - below) / (above + below)
-
-
-def _corrected(pairs: Sequence[PairComparison]) -> list[PairComparison]:
-    """Holm's step-down correction over all comparisons that have a p-value."""
-    order = sorted((i for i, pair in enumerate(pairs) if math.isfinite(pair.p)), key=lambda i: pairs[i].p)
-    corrected, largest = list(pairs), 0.0
-    for rank, i in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * pairs[i].p))
-        corrected[i] = replace(pairs[i], p_holm=largest)
-    return corrected
 
 
 def _notes(failures: dict[str, int], table: SweepTable) -> list[str]:
@@ -262,12 +297,59 @@ def _notes(failures: dict[str, int], table: SweepTable) -> list[str]:
     return notes
 
 
-def _stats() -> Any:
-    try:
-        from scipy import stats
-    except ImportError:
-        raise OrchError(MISSING) from None
-    return stats
+def _footnotes(summaries: Sequence[ContenderSummary]) -> list[str]:
+    """What the daggers mean: completed runs of a contender whose numbers are not taken, by metrics that share it."""
+    metrics: dict[str, list[str]] = {}
+    for s in summaries:
+        for why, n in s.marks.items():
+            metrics.setdefault(f"{n} of the {s.draws} draws of {s.contender} {why}", []).append(s.metric.name)
+    every = len({s.metric.name for s in summaries})
+    return [words if len(names) == every else f"{', '.join(names)}: {words}" for words, names in metrics.items()]
+
+
+def _counts(
+    table: SweepTable,
+    runs: Mapping[str, Mapping[Draw, Mapping[str, Any]]],
+    summaries: Sequence[ContenderSummary],
+    columns: Sequence[Column],
+    unlike: Mapping[str, str],
+) -> list[str]:
+    """Draws that count less, or for nothing, and metrics that are not one metric."""
+    notes = []
+    ended = sum(row["status"] != MISSING for row in table.rows)
+    distinct = sum(map(len, runs.values()))
+    if distinct < ended:
+        notes.append(f"{ended} runs are {distinct} distinct ones: values that were drawn again count once")
+    never = [
+        f"{s.metric.name} of {s.contender} in {s.lost[NEVER]} of {s.draws} draws"
+        for s in summaries
+        if s.lost.get(NEVER)
+    ]
+    if never:
+        notes.append(f"never, the worst rank in tests and in no mean: {', '.join(never)}")
+    if unlike:
+        keys = ", ".join(dict.fromkeys(table.labels[key] for key in unlike.values()))
+        notes.append(f"{', '.join(unlike)}: not one metric for all, since {keys} differs; it has no best")
+    draws = [[tuple(row[c.name] for c in columns) for row in of.values()] for of in runs.values()]
+    if all(len(numbers) > 1 and len(set(numbers)) == 1 for numbers in draws) and columns:
+        notes.append(
+            "all draws of a contender give the same numbers: what varies in them does not matter to these metrics"
+        )
+    if not table.knows_marks:
+        notes.append(
+            "the table does not say which runs ended early or warned; orch sweep writes it anew from its records"
+        )
+    warned = Counter(
+        contender
+        for contender, of in runs.items()
+        for row in of.values()
+        if (standing := standing_of(row)).kinds and not standing.marks
+    )
+    if warned:
+        notes.append(
+            f"runs with other warnings: {', '.join(f'{name} {n}' for name, n in warned.items())}; see orch show"
+        )
+    return notes
 
 
 def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
@@ -286,6 +368,13 @@ def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
             "std": number(s.std),
             "median": number(s.median),
             "ci95": [number(s.low), number(s.high)],
+            "ci95_reliable": s.n >= FEW,
+            "draws": s.draws,
+            "lost": dict(s.lost),
+            "success_ci95": [number(bound) for bound in s.share],
+            "common": {"n": s.common, "mean": number(s.common_mean)},
+            "best": analysis.best(s.metric) == s.contender,
+            "marked": bool(s.marks),
         }
         for s in analysis.summaries
     ]
@@ -295,12 +384,15 @@ def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
             "second": p.second,
             "metric": p.metric.name,
             "n": p.n,
+            "numbers": p.numbers,
             "difference": number(p.difference),
             "ci95": [number(p.low), number(p.high)],
             "p": number(p.p),
             "p_holm": number(p.p_holm),
             "effect": number(p.effect),
+            "ci95_reliable": p.numbers >= FEW,
             "smaller": p.smaller or None,
+            "fewer": p.fewer or None,
         }
         for p in analysis.pairs
     ]
@@ -311,5 +403,6 @@ def as_json(analysis: SweepAnalysis) -> dict[str, Any]:
         "failures": analysis.failures,
         "summaries": summaries,
         "pairs": pairs,
+        "footnotes": analysis.footnotes,
         "notes": analysis.notes,
     }

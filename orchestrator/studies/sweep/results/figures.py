@@ -6,16 +6,19 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ....arrays import Reals
 from ....errors import StoreError, did_you_mean
 from ....records.compare.side_by_side import Column
+from ....records.file.marks import DAGGER
 from ....views import figures
 from ..engine.table import SweepTable
+from . import statistics
 from .analysis import SweepAnalysis
+from .tables import head_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,14 +63,15 @@ def figure(analysis: SweepAnalysis, kind: str = "box", over: Sequence[str] = ())
 
 
 def values(analysis: SweepAnalysis, contender: str, column: Column) -> Reals:
-    """The metric of a contender's completed runs that have a number, (N,)."""
-    numbers: Reals = np.array([row[column.name] for row in rows_of(analysis, contender)])
+    """The metric of a contender in the draws in which it has a number, (N,)."""
+    numbers: Reals = np.array([one.value for one in analysis.outcomes[contender, column].values()])
     return numbers[np.isfinite(numbers)]
 
 
-def rows_of(analysis: SweepAnalysis, contender: str) -> list[dict[str, Any]]:
-    """The completed runs of a contender."""
-    return [row for row in analysis.table.completed if analysis.contender_of(row) == contender]
+def _name(analysis: SweepAnalysis, contender: str, column: Column) -> str:
+    """A contender; where draws are lost to it, also in how many it has a number, with a dagger if a mark is why."""
+    s = next(s for s in analysis.of(column) if s.contender == contender)
+    return contender if s.n == s.draws else f"{contender} {s.n}/{s.draws}{DAGGER * bool(s.marks)}"
 
 
 def _box(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
@@ -88,17 +92,22 @@ def _violin(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
 
 def _contenders(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
     places = range(1, len(analysis.contenders) + 1)
-    axis.set_xticks(list(places), analysis.contenders, rotation=30, ha="right", fontsize=8)
-    axis.set_ylabel(column.head)
+    names = [_name(analysis, contender, column) for contender in analysis.contenders]
+    axis.set_xticks(list(places), names, rotation=30, ha="right", fontsize=8)
+    axis.set_ylabel(head_of(column))
     axis.grid(axis="y", alpha=0.3)
 
 
 def _ecdf(axis: Axes, analysis: SweepAnalysis, column: Column) -> None:
+    """Of all draws that were run: where some have no number, the line ends below 1."""
     for i, name in enumerate(analysis.contenders):
-        data = values(analysis, name, column)
+        data = np.sort(values(analysis, name, column))
         if len(data):
-            axis.ecdf(data, label=name, color=f"C{i}")
-    axis.set_xlabel(column.head)
+            shares = np.arange(len(data) + 1) / len(analysis.outcomes[name, column])
+            label = _name(analysis, name, column)
+            axis.step(np.r_[data[0], data], shares, where="post", label=label, color=f"C{i}")
+    axis.set_ylim(0.0, 1.02)
+    axis.set_xlabel(head_of(column))
     axis.set_ylabel("share of the draws")
     axis.grid(alpha=0.3)
     if axis.lines:
@@ -127,20 +136,21 @@ def _heatmaps(analysis: SweepAnalysis, one: str, other: str) -> Figure:
     down, across = len(analysis.columns), len(analysis.contenders)
     drawn = Figure(figsize=(1 + 2.4 * across, 0.6 + 2.3 * down), layout="constrained")
     axes = drawn.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    labels, rows = analysis.table.labels, analysis.table.completed
+    labels, rows = analysis.table.labels, [row for of in analysis.runs.values() for row in of.values()]
     sorts = [_bins([row[key] for row in rows]) for key in (one, other)]
     for i, column in enumerate(analysis.columns):
-        cells = [_cells(rows_of(analysis, name), column, (one, other), sorts) for name in analysis.contenders]
+        cells = [_cells(analysis, name, column, (one, other), sorts) for name in analysis.contenders]
         low, high = _range(np.concatenate([cell.ravel() for cell in cells]))
         for axis, name, cell in zip(axes[i], analysis.contenders, cells, strict=True):
             image = axis.imshow(cell, origin="lower", aspect="auto", vmin=low, vmax=high, cmap="viridis")
+            axis.plot(*np.argwhere(np.isposinf(cell)).T[::-1], "x", color="C3", markersize=5)
             axis.set_title(name if i == 0 else "", fontsize=9)
             axis.set_xticks(range(len(sorts[0][1])), sorts[0][1], rotation=60, fontsize=6)
             axis.set_yticks(range(len(sorts[1][1])), sorts[1][1], fontsize=6)
             if i == down - 1:
                 axis.set_xlabel(labels[one], fontsize=8)
         axes[i][0].set_ylabel(labels[other], fontsize=8)
-        drawn.colorbar(image, ax=list(axes[i]), label=f"median {column.head}")
+        drawn.colorbar(image, ax=list(axes[i]), label=f"median {head_of(column)}\n(x: none in half of the draws)")
     return drawn
 
 
@@ -161,16 +171,22 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _cells(rows: Sequence[dict[str, Any]], column: Column, keys: tuple[str, str], sorts: Sequence[Bins]) -> Reals:
-    """Medians, (bins of the second factor, bins of the first); nan where no run falls into a cell."""
+def _cells(
+    analysis: SweepAnalysis, contender: str, column: Column, keys: tuple[str, str], sorts: Sequence[Bins]
+) -> Reals:
+    """Medians, (bins of the second factor, bins of the first); nan where no run falls into a cell.
+
+    A draw without a number is worse than any, so that inf means that half of those in the cell have none.
+    """
     by_cell: dict[tuple[int, int], list[float]] = {}
-    for row in rows:
-        if math.isfinite(row[column.name]):
-            place = sorts[1][0](row[keys[1]]), sorts[0][0](row[keys[0]])
-            by_cell.setdefault(place, []).append(row[column.name])
+    for draw, row in analysis.runs[contender].items():
+        value = analysis.outcomes[contender, column][draw].value
+        place = sorts[1][0](row[keys[1]]), sorts[0][0](row[keys[0]])
+        by_cell.setdefault(place, []).append(value if math.isfinite(value) else math.inf)
     cells = np.full((len(sorts[1][1]), len(sorts[0][1])), np.nan)
     for place, numbers in by_cell.items():
-        cells[place] = np.median(numbers)
+        lost = 2 * numbers.count(math.inf) >= len(numbers)
+        cells[place] = math.inf if lost else statistics.median(np.array(sorted(numbers)), column.turn)
     return cells
 
 
@@ -180,18 +196,21 @@ def _range(numbers: Reals) -> tuple[float, float]:
 
 
 def _parallel(analysis: SweepAnalysis) -> Figure:
-    """A line for each run through its factors and metrics, each axis scaled to its values."""
+    """A line for each run through its factors and metrics, each axis scaled to its values; broken where it has none."""
     from matplotlib.figure import Figure
 
     table = analysis.table
     listed = {key for group in table.groups for key in group}
     factors = [key for key in table.keys if key not in listed and not math.isnan(_number(table.rows[0][key]))]
-    names = [*(table.labels[key] for key in factors), *(column.head for column in analysis.columns)]
+    names = [*(table.labels[key] for key in factors), *(head_of(column) for column in analysis.columns)]
     data = {
         contender: np.array(
             [
-                [*(_number(row[key]) for key in factors), *(row[column.name] for column in analysis.columns)]
-                for row in rows_of(analysis, contender)
+                [
+                    *(_number(row[key]) for key in factors),
+                    *(analysis.outcomes[contender, column][draw].value for column in analysis.columns),
+                ]
+                for draw, row in analysis.runs[contender].items()
             ]
         ).reshape(-1, len(names))
         for contender in analysis.contenders
@@ -201,7 +220,7 @@ def _parallel(analysis: SweepAnalysis) -> Figure:
     drawn = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
     axis = drawn.subplots()
     for i, (contender, lines) in enumerate(data.items()):
-        for k, line in enumerate(lines):
+        for k, line in enumerate(np.where(np.isfinite(lines), lines, np.nan)):
             scaled = [(v - low) / (high - low or 1.0) for v, (low, high) in zip(line, ranges, strict=True)]
             axis.plot(scaled, color=f"C{i}", alpha=0.25, linewidth=0.7, label=contender if k == 0 else None)
     shown = [f"{name}\n{low:.3g} .. {high:.3g}" for name, (low, high) in zip(names, ranges, strict=True)]

@@ -29,9 +29,9 @@ def write(analysis: SweepAnalysis, target: Path) -> Path:
     text = render(
         "studies/sweep/results/sweep.html",
         title=f"{table.title}: sweep {table.sweep_id}",
-        head=f"{len(table.rows)} runs, {len(table.completed)} completed",
-        tables=tables.text_tables(analysis),
-        legend=tables.legend(analysis),
+        head=table.counts,
+        tables=(shown := tables.text_tables(analysis)),
+        legend=[*([f"Bold: {tables.BEST}"] if tables.has_best(shown) else []), *tables.legend(analysis)],
         figures=[{"kind": kind, "title": KINDS[kind], "svg": Markup(_svg(analysis, kind))} for kind in kinds],
         made={
             "Distributions": json.dumps(table.description["distributions"], indent=1),
