@@ -282,7 +282,7 @@ def test_one_window_is_alike_whatever_the_stop_time(compare, models, tmp_path):
     paths = [run(tmp_path, merged(experiment, {"master.stop_time": stop}))[1] for stop in (0.05, 0.06)]
     far = merged(experiment, {"components.one.parameters.place": [1.0, 0.0, 0.0]})
     answer = compare(paths[1], run(tmp_path, far)[1], "--json").json
-    assert answer["notes"] == []
+    assert not any("not the same" in note for note in answer["notes"])
     assert len(answer["metrics"][0]["best"]) == 1
 
 

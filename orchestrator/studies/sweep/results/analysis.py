@@ -24,7 +24,7 @@ import numpy as np
 
 from ....arrays import Reals
 from ....errors import StoreError, did_you_mean
-from ....metrics.accumulators import on_circle
+from ....metrics import on_circle
 from ....records.compare.side_by_side import Column, digits
 from ..engine.table import SweepTable, standing_of
 from ..engine.worker import COMPLETED, FAILED, MISSING

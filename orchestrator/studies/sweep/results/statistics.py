@@ -14,7 +14,7 @@ import numpy as np
 
 from ....arrays import Reals, Truths
 from ....errors import OrchError
-from ....metrics.accumulators import on_circle
+from ....metrics import on_circle
 from ..engine.storage import MISSING
 
 RESAMPLES = 2000
