@@ -60,13 +60,14 @@ def test_mfsosmc_at_one_millisecond_is_not_although_its_position_errors_look_rig
 
 @pytest.fixture
 def inverse(models, write):
-    """inverse(metrics, steps) -> the path of an experiment with tests/fmus/inverse.py."""
+    """inverse(record, **metrics) -> the path of an experiment with tests/fmus/inverse.py."""
 
-    def path(**metrics):
+    def path(record=None, **metrics):
         return write(
             {
                 "master": {"stop_time": 0.04, "step": 0.002},
                 "components": {"model": {"fmu": "inverse"}},
+                "record": record or {},
                 "metrics": metrics,
             }
         )
@@ -82,12 +83,14 @@ def test_a_metric_that_doubles_with_each_halving_is_not_converged_however_small_
     assert not answer.json["converged"]
 
 
+@pytest.mark.parametrize("record", [{}, {"every": 0.04, "signals": ["model.y"]}])
 @pytest.mark.parametrize("unit", ["rad", "deg"])
-def test_an_error_is_negligible_beside_its_quantity_in_any_unit(orch, inverse, unit):
+def test_an_error_is_negligible_beside_its_quantity_in_any_unit_recorded_or_not(orch, inverse, unit, record):
     metrics = {name: {"of": "final", "signal": f"model.{name}", "unit": unit} for name in ("z.a", "z.b")}
-    path = inverse(small=metrics["z.a"], large=metrics["z.b"])
+    path = inverse(record, small=metrics["z.a"], large=metrics["z.b"])
     answer = orch("converge", path, "--steps", "4e-3,1e-3", "--json")
     assert answer.code == 0, answer.out
+    assert [sorted(run["metrics"]) for run in orch("list", "--json").json] == [["large", "small"]] * 3
     assert answer.json["metrics"]["small"]["error"] > 0.4 * answer.json["metrics"]["small"]["values"]["0.001"]
 
 

@@ -7,8 +7,9 @@ counts what happens from step to step, such as total variation, follows no such 
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,13 +90,14 @@ def study(
     commands = [processes.command_of(f"step {step:g} s", plans[step], results) for step in chosen]
     ended = processes.run_plans(commands, CommandProgress(len(commands), report))
     by_step = dict(zip(chosen, ended, strict=True))
-    metrics = []
     with Run(by_step[own]["file"]) as record:
         warnings = tuple(record.warnings)
-        for name, spec in plan.experiment.metrics.items():
-            values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
-            small, counts = negligible(record, spec, own), METRICS[spec["of"]].counts
-            metrics.append(assess(name, unit_of(spec, plan.units), values, own, small, counts))
+    metrics = []
+    for name, spec in plan.experiment.metrics.items():
+        values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
+        metrics.append(assess(name, unit_of(spec, plan.units), values, own, METRICS[spec["of"]].counts))
+    small = _negligible(plan, [m.name for m in metrics if math.isfinite(m.error) and not m.converged(own)], report)
+    metrics = [replace(metric, negligible=small.get(metric.name, 0.0)) for metric in metrics]
     return ConvergenceStudy(
         experiment=plan.experiment.path.stem,
         own=own,
@@ -131,29 +133,53 @@ def _plans(
     return plans
 
 
-def negligible(record: Run, spec: Mapping[str, Any], step: float) -> float:
-    """An error of a metric that does not matter because its quantity is a million times as large.
+def _negligible(plan: Plan, names: Sequence[str], report: Report) -> dict[str, float]:
+    """{metric: an error that does not matter because its quantity is a million times as large}, in the metric's unit.
 
-    record: of the run.  step: s, which times cannot be closer than.  Returns it in the unit of the metric; 0 where the
-    signal is not recorded, or the metric is no measure of its quantity.
+    plan: at the experiment's own step, which times cannot be closer than.  It runs once more, for the largest
+    magnitudes in all of its steps, whatever is recorded.  A metric that is no measure of its quantity has 0.
     """
-    duration = float(record.time[-1] - record.time[0])
-    unit = record.units(spec["signal"]) if spec["signal"] in record.signals else ""
-    vector = _vector(spec["signal"])
-    axes = [name for name in record.signals if _vector(name) == vector and record.units(name) == unit]
-    largest = max((float(abs(record[name]).max()) for name in axes), default=0.0)
-    small = NEGLIGIBLE * largest * (conversion(unit, {}, spec["unit"], {})[0] if "unit" in spec else 1.0)
-    by_unit = {"{}": small, "{}.s": small * duration, "({})2.s": small**2 * duration, "{}.s2": small * duration**2 / 2}
-    return {**by_unit, "s": step}.get(METRICS[spec["of"]].unit, 0.0)
+    specs = {name: plan.experiment.metrics[name] for name in names if "{}" in METRICS[_of(plan, name)].unit}
+    vectors = {name: _vector_of(plan, spec["signal"]) for name, spec in specs.items()}
+    sizes = _magnitudes(plan, [axis for vector in vectors.values() for axis in vector], report)
+    own = plan.experiment.master.step
+    duration = (plan.steps - plan.first) * own
+    result = {name: own for name in names if METRICS[_of(plan, name)].unit == "s"}
+    for name, spec in specs.items():
+        unit = plan.units[spec["signal"]]
+        factor = conversion(unit, {}, spec["unit"], {})[0] if "unit" in spec else 1.0
+        small = NEGLIGIBLE * factor * max(sizes[axis] for axis in vectors[name])
+        by_unit = {"{}": small, "{}.s": small * duration, "({})2.s": small**2 * duration}
+        result[name] = {**by_unit, "{}.s2": small * duration**2 / 2}[METRICS[spec["of"]].unit]
+    return result
 
 
-def assess(
-    name: str, unit: str, values: Mapping[float, float], own: float, negligible: float = 0.0, counts: bool = False
-) -> MetricConvergence:
+def _of(plan: Plan, metric: str) -> str:
+    return str(plan.experiment.metrics[metric]["of"])
+
+
+def _vector_of(plan: Plan, signal: str) -> list[str]:
+    """The axes of the vector of a signal that have its unit."""
+    vector, unit = _vector(signal), plan.units[signal]
+    return [name for name in plan.readable if _vector(name) == vector and plan.units[name] == unit]
+
+
+def _magnitudes(plan: Plan, signals: Sequence[str], report: Report) -> dict[str, float]:
+    """The largest magnitude of each signal, over all steps of a run that is not kept."""
+    if not signals:
+        return {}
+    metrics = {name: {"of": "max_abs", "signal": name} for name in signals}
+    measuring = replace(plan, experiment=replace(plan.experiment, metrics=metrics), recorded=(), watched=())
+    with tempfile.TemporaryDirectory(prefix="orch-") as folder:
+        command = processes.command_of("magnitudes of signals", measuring, folder)
+        (ended,) = processes.run_plans([command], CommandProgress(1, report))
+    return {name: _number(value) for name, value in ended["metrics"].items()}
+
+
+def assess(name: str, unit: str, values: Mapping[float, float], own: float, counts: bool = False) -> MetricConvergence:
     """Order, limit and error of one metric from its three finest steps.
 
-    values: {step: metric}.  negligible: see MetricConvergence.  counts: whether it counts what happens from step to
-    step; it gets no order.
+    values: {step: metric}.  counts: whether it counts what happens from step to step; it gets no order.
     """
     steps = sorted(values, reverse=True)
     h1, h2, h3 = steps[-3:]
@@ -163,9 +189,7 @@ def assess(
     error = abs(values[own] - limit)
     if math.isnan(order) and own == h3:  # nothing finer to compare with
         error = abs(m3 - m2)
-    return MetricConvergence(
-        name=name, unit=unit, values=dict(values), order=order, limit=limit, error=error, negligible=negligible
-    )
+    return MetricConvergence(name=name, unit=unit, values=dict(values), order=order, limit=limit, error=error)
 
 
 def observed_order(steps: tuple[float, float, float], values: tuple[float, float, float]) -> float:
