@@ -88,8 +88,9 @@ def suspects(bursts: Bursts) -> list[Suspect]:
         weights, first = _weights(bursts, clock), _first_fast(length)
         # Periods of LONGEST steps differ so much from step to step: what is slow is spared its spectra.
         moving = ~(_by_step(values, weights) < SHARE * np.sin(np.pi / LONGEST) ** 2)
-        columns = np.flatnonzero(relevant[clock.chosen] & moving)
-        values = values[..., columns] / abs(values[..., columns]).max(axis=(0, 1))
+        largest = abs(values).max(axis=(0, 1))
+        columns = np.flatnonzero(relevant[clock.chosen] & moving & (largest != 0))
+        values = values[..., columns] / largest[columns]
         squares = weights @ (values**2).mean(axis=1)
         lines, by_step = _spectra(values), _by_step(values, weights)
         for place, column in enumerate(columns.tolist()):
