@@ -115,17 +115,17 @@ def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes
         proxy.stdin.write(words + "\n")
         proxy.stdin.flush()
 
-    wait("Received 332 parameters (ftp)")
+    wait("Received 333 parameters (ftp)")
     wait("Detected vehicle 2:1")
     enter("mode POSHOLD")
     wait("Mode POSHOLD", times=2)  # what the vehicle says, and what its heartbeat says
     enter("vehicle 2")
-    wait("Received 332 parameters (ftp)", times=2)
+    wait("Received 333 parameters (ftp)", times=2)
     enter("mode ALT_HOLD")
     wait("Mode ALT_HOLD", times=2)
     enter("set param_ftp False")
     enter("param fetch")
-    wait("Received 332 parameters\n")
+    wait("Received 333 parameters\n")
     enter("status")
     enter("link list")
     wait("MAV Errors: 0")
@@ -153,7 +153,7 @@ def test_mavsdk_sees_two_submarines_where_the_record_has_them(shipped, tmp_path)
     with h5py.File(tmp_path / "run.h5") as record:
         for system, vehicle in seen.items():
             assert vehicle["kind"] == ["ARDUPILOT", "SUBMARINE"]
-            assert (vehicle["parameters"], vehicle["gain"], vehicle["frame"], vehicle["version"]) == (332, 0.625, 1, 4)
+            assert (vehicle["parameters"], vehicle["gain"], vehicle["frame"], vehicle["version"]) == (333, 0.625, 1, 4)
             assert vehicle["armed"]
             assert vehicle["healthy"]
             assert len(vehicle["attitudes"]) >= 15

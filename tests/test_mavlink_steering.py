@@ -18,9 +18,11 @@ from experiments import merged
 from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply
 from orchestrator.mavlink.components.manual import MavlinkManual
+from orchestrator.mavlink.fleet import fleet
 from orchestrator.mavlink.protocol import steering
-from orchestrator.mavlink.vehicle.autopilot import Autopilot, FlightMode
-from orchestrator.mavlink.vehicle.control import Control, SetPoint, Stick
+from orchestrator.mavlink.vehicle.autopilot import Autopilot
+from orchestrator.mavlink.vehicle.control import FORWARD, LATERAL, THROTTLE, YAW, Control, Override, SetPoint
+from orchestrator.mavlink.vehicle.modes import FlightMode
 from orchestrator.mavlink.vehicle.parameters import AutopilotParameters
 from orchestrator.mavlink.vehicle.sample import Sample
 from peers.ardupilot import PACKET, FakeArdupilot, hover, parsed
@@ -32,7 +34,7 @@ POINT = 0x0DF8  # type_mask: everything but the position is ignored
 
 @pytest.fixture
 def control():
-    return Control()
+    return Control(stops=True, mixes=True)
 
 
 @pytest.fixture
@@ -44,7 +46,6 @@ def autopilot(control):
         parameters=AutopilotParameters(1, {}, {}),
         origin=(44.65, -124.05),
         control=control,
-        mode=FlightMode.POSHOLD,
     )
     sample = Sample(
         t=0.0,
@@ -59,12 +60,22 @@ def autopilot(control):
     return autopilot
 
 
-def announce(autopilot, text):
+def announce(autopilot, text, severity=0):
     """To nobody."""
 
 
+def push(control, **demands):
+    """Sticks held in -1..1: surge, sway, heave (down), yaw."""
+    channels = {"surge": (FORWARD, 1), "sway": (LATERAL, 1), "heave": (THROTTLE, -1), "yaw": (YAW, 1)}
+    now = time.monotonic()
+    control.overrides = {
+        channels[name][0]: Override(pulse=1500 + 400 * channels[name][1] * value, at=now)
+        for name, value in demands.items()
+    }
+
+
 def follow(component, eta, seconds):
-    """Outputs (N, 24) of steps."""
+    """Outputs (N, 37) of steps."""
     return np.array([component.step(k * H, H, eta, component.listen(k * H, eta)) for k in range(round(seconds / H))])
 
 
@@ -95,7 +106,7 @@ def test_a_joystick_moves_the_reference_as_the_vehicle_points(control, autopilot
 def test_the_reference_is_smooth_and_its_derivatives_are_its_own(control):
     component = MavlinkManual("manual", {}, {"control": control})
     component.start(np.zeros(6))
-    control.stick = Stick(surge=1.0, sway=-0.5, heave=0.3, yaw=0.7, at=time.monotonic())
+    push(control, surge=1.0, sway=-0.5, heave=0.3, yaw=0.7)
     path = follow(component, np.zeros(6), 3.0)
     place, rate, change = path[:, :6], path[:, 6:12], path[:, 12:18]
     assert np.diff(place, axis=0) / H == pytest.approx((rate[1:] + rate[:-1]) / 2, abs=1e-9)
@@ -109,17 +120,17 @@ def test_silence_stops_the_reference_after_ardusubs_timeout(control, autopilot):
     pilot = steering.Pilot(autopilot)
     autopilot.parameters.set("FS_PILOT_TIMEOUT", 0.5)
     pilot.manual_control(manual_control(x=500), time.monotonic() - 1.0, announce)
-    assert control.demands() == (0, 0, 0, 0)
+    assert control.demands() == (0, 0, 0, 0, 0)
     pilot.manual_control(manual_control(x=500), time.monotonic(), announce)
     assert control.demands()[0] == pytest.approx(0.25)
     control.armed = False
-    assert control.demands() == (0, 0, 0, 0)
+    assert control.demands() == (0, 0, 0, 0, 0)
 
 
 def test_axes_beyond_their_range_and_buttons_do_what_ardusub_does(control, autopilot):
     pilot, now = steering.Pilot(autopilot), time.monotonic()
     pilot.manual_control(manual_control(x=32767, y=-32768, z=-5, r=2000), now, announce)
-    assert control.demands() == (0, 0, 0, 0)
+    assert control.demands() == (0, 0, 0, 0, 0)
     pilot.manual_control(manual_control(buttons=1 << 3), now, announce)  # BTN3: depth hold
     assert autopilot.mode == FlightMode.ALT_HOLD
     pilot.manual_control(manual_control(buttons=1 << 3 | 1 << 2), now, announce)  # BTN2: POSHOLD; BTN3 is still down
@@ -134,8 +145,8 @@ def test_channel_overrides_move_it_too(control, autopilot):
     pulses = {f"chan{n}_raw": 1500 for n in range(1, 9)} | {"chan3_raw": 1300, "chan5_raw": 1700}
     message = mavlink.MAVLink_rc_channels_override_message(**to(), **pulses)
     steering.Pilot(autopilot).channels(message, time.monotonic())
-    assert control.demands() == pytest.approx((0.5, 0, 0.5, 0))
-    assert control.channels()[:6] == [1500, 1500, 1300, 1500, 1700, 1500]
+    assert control.demands() == pytest.approx((0.5, 0, 0.5, 0, 0))
+    assert [control.channels()[n] for n in range(1, 7)] == [1500, 1500, 1300, 1500, 1700, 1500]
 
 
 @pytest.mark.parametrize(
@@ -149,17 +160,17 @@ def test_channel_overrides_move_it_too(control, autopilot):
 )
 def test_set_points_count_in_mode_guided_in_every_frame(control, autopilot, frame, mask, point, expected):
     message = set_point(frame, mask, point)
-    steering.set_point(autopilot, message)
+    assert steering.local_set_point(autopilot, message, 0.0) == "Set point ignored in mode POSHOLD"
     assert control.set_point is None
-    autopilot.mode, control.guided = FlightMode.GUIDED, True
-    steering.set_point(autopilot, message)
+    autopilot.enter(FlightMode.GUIDED)
+    assert steering.local_set_point(autopilot, message, 0.0) == ""
     assert control.target().position == pytest.approx(expected)
 
 
 def test_a_set_point_is_reached_without_overshoot_within_the_limits(control):
     component = MavlinkManual("manual", {"lag": 0.4}, {"control": control})
     component.start(np.zeros(6))
-    control.guided = True
+    control.enter(FlightMode.GUIDED)
     control.set_point = SetPoint(position=(4.0, -3.0, 1.0), yaw=math.radians(-170))
     path = follow(component, np.zeros(6), 25.0)
     assert path[-1][:3] == pytest.approx([4, -3, 1], abs=0.01)
@@ -244,7 +255,7 @@ def test_a_script_sends_a_vehicle_to_a_point_and_disarms_it(steered, write, tmp_
     command = [
         ORCH,
         "run",
-        str(write(merged(steered, {"master.stop_time": 9.0}))),
+        str(write(merged(steered, {"master.stop_time": 9.0, "components.pilot.parameters": {"hold_disarmed": 1}}))),
         "--realtime",
         "3",
         "--quiet",
@@ -302,6 +313,55 @@ def test_ardupilot_flies_the_vehicle_of_an_experiment(orch, spiral, write, witho
     assert "ardusub, waiting" in text
     assert sum(map(float, re.findall(r"([\d.]+)%", text))) == pytest.approx(100, abs=0.3)  # each is rounded
     assert orch("rerun", "run.h5", "--verify").code == 0  # without ArduPilot
+
+
+@pytest.fixture
+def flown(spiral):
+    """flown(port, **parameters): a vehicle that ArduPilot flies, and one that nobody steers."""
+
+    def table(port, **parameters):
+        vehicle = {**spiral["components"]["vehicle"], "start": "fmu"}
+        ardusub = {"builtin": "ardupilot_json", "parameters": {"port": port, **parameters}}
+        connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
+        return {
+            "master": {"stop_time": 2.0, "step": 0.0025},
+            "components": {"ardusub": ardusub, "vehicle": vehicle, "other": vehicle},
+            "connections": {**connections, "vehicle.u": "ardusub.u"},
+        }
+
+    return table
+
+
+def test_the_bridge_leaves_the_vehicle_that_ardupilot_flies_to_ardupilot(flown, write, tmp_path):
+    port, bridge = free_port(), free_port()
+    pilot = FakeArdupilot(port, hover(1.4))
+    threading.Thread(target=pilot.fly, args=(2000,), daemon=True).start()
+    run = [ORCH, "run", str(write(flown(port))), "--realtime", "--output", "run.h5"]
+    command = [*run, "--mavlink", f"udpin:127.0.0.1:{bridge}"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    station = Station.udpout(bridge)
+    while process.poll() is None:
+        station.heartbeat()
+        station.listen(0.1)
+    error = process.communicate()[1]
+    station.close()
+    assert process.returncode == 0, error
+    assert {m.get_srcSystem() for m in station.messages if m.get_type() == "HEARTBEAT"} == {2}
+    assert {m.get_srcSystem() for m in station.messages} == {2}
+    note = "vehicle is not shown: ArduPilot, which flies it, speaks for system id 1; connect stations to it"
+    assert note in " ".join(error.split())
+
+
+def test_a_vehicle_is_shown_beside_its_ardupilot_by_another_system_id_and_no_two_have_the_same(flown, resolve):
+    def shown(system_id, **vehicles):
+        table = merged(flown(9002, system_id=system_id), {"mavlink": {"vehicles": vehicles}})
+        return {autopilot.component: autopilot.system for autopilot in fleet(resolve(table), {})}
+
+    assert shown(0, vehicle=1, other=2) == {"other": 2}
+    assert shown(7, vehicle=1, other=2) == {"vehicle": 1, "other": 2}
+    assert shown(7, vehicle=7, other=2) == {"other": 2}
+    with pytest.raises(OrchError, match=r"mavlink\.vehicles\.other: ArduPilot, .* has the system id 7"):
+        shown(7, vehicle=1, other=7)
 
 
 def test_a_run_without_a_bridge_says_that_nobody_steers(orch, steered, write):

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 KNOWN = {
     "ardupilot_json": "orchestrator.mavlink.components.ardupilot:ArdupilotJson",
     "mavlink_manual": "orchestrator.mavlink.components.manual:MavlinkManual",
+    "mavlink_motors": "orchestrator.mavlink.components.motors:MavlinkMotors",
 }
+DEAF = ("mavlink_motors",)  # what they do depends on their inputs alone
 
 
 class Builtin(Protocol):
@@ -38,7 +40,8 @@ class Builtin(Protocol):
         """Outputs at the start; may be called several times."""
 
     def listen(self, t: float, inputs: Reals) -> Reals:
-        """What comes from outside at t [s], always (m,).  Raises OrchError if nothing comes for too long."""
+        """What comes from outside at t [s], always (m,), or (0,) of a deaf one.  Raises OrchError if nothing comes for
+        too long."""
 
     def step(self, t: float, h: float, inputs: Reals, heard: Reals) -> Reals:
         """Outputs from t [s] on, after the step to t + h."""

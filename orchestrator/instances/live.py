@@ -94,7 +94,7 @@ class LiveInstance(BatchedInstance):
         try:
             heard = self._builtin.listen(t, self._inputs) if self._replay is None else self._heard_then(t)
             self.waited += time.perf_counter() - began
-            if not self.heard or not np.array_equal(heard, self.heard[-1][1], equal_nan=True):
+            if len(heard) and (not self.heard or not np.array_equal(heard, self.heard[-1][1], equal_nan=True)):
                 self.heard.append((t, np.array(heard, dtype=float)))
             self._outputs[:] = self._builtin.step(t, h, self._inputs, heard)
         except OrchError as error:

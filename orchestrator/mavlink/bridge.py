@@ -21,7 +21,7 @@ from ..simulation.observer import Observer, SystemView
 from .fleet import fleet
 from .protocol import telemetry
 from .protocol.conversation import Conversation
-from .protocol.dialect import Message
+from .protocol.dialect import Message, mavlink
 from .protocol.links import Endpoint, Link, Peer, open_link
 from .protocol.station import HEARTBEAT_EVERY, Station
 from .vehicle.autopilot import Autopilot
@@ -30,6 +30,7 @@ from .view import VehicleView
 
 # What the handling of a message with absurd contents may raise.
 NONSENSE = (ValueError, TypeError, ArithmeticError, LookupError, AttributeError, struct.error)
+INFO: int = mavlink.MAV_SEVERITY_INFO
 SHORTEST_NAP, LONGEST_NAP = 1e-3, 0.05  # s
 SWITCH = 1e-3  # s that one thread may keep the other from Python; more disturbs the pace of the run
 TURN = 0.02  # s that the messages of one link may take before the other links and the heartbeat get their turn
@@ -100,9 +101,9 @@ class Bridge(Observer):
             sys.setswitchinterval(self._interval)
         self._close_links()
 
-    def announce(self, autopilot: Autopilot, text: str) -> None:
+    def announce(self, autopilot: Autopilot, text: str, severity: int = INFO) -> None:
         """Send a STATUSTEXT to all stations that see the vehicle."""
-        self._echo(autopilot, telemetry.statustext(text))
+        self._echo(autopilot, telemetry.statustext(text, severity))
 
     def _echo(self, autopilot: Autopilot, message: Message) -> None:
         for station in self._stations.values():

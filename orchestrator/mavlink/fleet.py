@@ -7,15 +7,19 @@ from dataclasses import replace
 
 from ..errors import ExperimentError, OrchError, Problem, did_you_mean
 from ..experiment.mavlink import MavlinkSpec
+from ..plan.motors import steered_by
 from ..plan.plan import Component, Plan
 from ..simulation.initialization import initialize
 from ..simulation.system import System
 from .protocol.links import Endpoint
-from .vehicle.autopilot import Autopilot, FlightMode
+from .vehicle.autopilot import Autopilot
 from .vehicle.control import Control
 from .vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame, matrix_of
+from .vehicle.modes import FlightMode
 from .vehicle.parameters import AutopilotParameters
 from .view import is_guided
+
+ARDUPILOT = "ardupilot_json"  # a builtin
 
 
 def spec_of(plan: Plan) -> MavlinkSpec:
@@ -34,10 +38,18 @@ def spec_of(plan: Plan) -> MavlinkSpec:
 def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpoint] = ()) -> list[Autopilot]:
     """The vehicles of a plan as autopilots.
 
-    controls: {component of a vehicle: where its steering goes}.  endpoints: those that show one vehicle only.  Raises
-    OrchError if a vehicle cannot be shown as ArduSub, or if there is none for an endpoint.
+    controls: {component of a vehicle: where its steering goes}.  endpoints: those that show one vehicle only.  A
+    vehicle for which ArduPilot speaks, as it flies it, is left out.  Raises OrchError if a vehicle cannot be shown as
+    ArduSub, if there is none for an endpoint, or if another vehicle has ArduPilot's system id.
     """
-    spec = spec_of(plan)
+    spec, flown = spec_of(plan), flown_by_ardupilot(plan)
+    spec = replace(spec, vehicles={name: system for name, system in spec.vehicles.items() if flown.get(name) != system})
+    for name, system in spec.vehicles.items():
+        if system in flown.values():
+            raise OrchError(
+                f"mavlink.vehicles.{name}: ArduPilot, which flies another vehicle, has the system id {system}, too; "
+                "each vehicle needs its own"
+            )
     for endpoint in endpoints:
         if endpoint.system not in spec.vehicles.values():
             known = [str(system) for system in spec.vehicles.values()]
@@ -51,25 +63,31 @@ def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpo
     ]
 
 
+def flown_by_ardupilot(plan: Plan) -> dict[str, int]:
+    """{vehicle: the MAVLink system id of the ArduPilot that flies it}.  Stations hear ArduPilot itself."""
+    shown = spec_of(plan).vehicles
+    flown: dict[str, int] = {}
+    for component in plan.components:
+        if component.live and component.fmu_name == ARDUPILOT:
+            vehicle = steered_by(component, plan.components, plan.connections)
+            own = int(component.parameters.get("system_id", 0))
+            if vehicle and (own or vehicle.name in shown):
+                flown[vehicle.name] = own or shown[vehicle.name]
+    return flown
+
+
 def _autopilot(plan: Plan, component: Component, system: int, spec: MavlinkSpec, control: Control | None) -> Autopilot:
     frame, max_thrust = frame_of(plan, component, spec.pwm_map)
     own = {} if max_thrust is None else {"SIM_MAX_THRUST": max_thrust}
-    if control:
-        mode = FlightMode.POSHOLD
-    else:
-        mode = FlightMode.GUIDED if is_guided(plan, component.name) else FlightMode.MANUAL
-    autopilot = Autopilot(
+    return Autopilot(
         system=system,
         component=component.name,
         parameters=AutopilotParameters(system, spec.rates, own),
         origin=spec.origin,
         frame=frame,
         control=control,
-        mode=mode,
+        mode=FlightMode.GUIDED if is_guided(plan, component.name) else FlightMode.MANUAL,
     )
-    if control:
-        control.armed, control.guided = autopilot.armed, False
-    return autopilot
 
 
 def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[ThrusterFrame | None, float | None]:

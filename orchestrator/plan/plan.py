@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from .. import metrics
 from ..experiment.experiment import Experiment
+from ..fmu.builtin import DEAF
 from ..fmu.fmu import Fmu
 from ..fmu.variables import ANGLE, NUMBERS, Variable
 from ..names import ETA_AXES, NU_AXES, matches
@@ -44,13 +45,18 @@ class Component:
     parameters: Mapping[str, Any]  # {FMI variable: value}
     start: Mapping[str, Any]
     isolated: bool = False  # runs in a process of its own
-    live: bool = False  # a builtin: what it does depends on the world outside
+    live: bool = False  # a builtin, which only runs inside orch
     timeout: float | None = None  # s of wall time that one of its steps may take, when isolated
 
     @property
     def is_vehicle(self) -> bool:
         """Whether it puts out a whole `eta` and `nu`."""
         return self.puts_out("eta", ETA_AXES) and self.puts_out("nu", NU_AXES)
+
+    @property
+    def hears(self) -> bool:
+        """Whether what it does depends on the world outside."""
+        return self.live and self.fmu_name not in DEAF
 
     def puts_out(self, vector: str, axes: Iterable[str]) -> bool:
         """Whether real outputs of the FMU make up the axes of a vector."""

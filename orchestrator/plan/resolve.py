@@ -24,6 +24,7 @@ from ..fmu.variables import DTYPES, WHOLE, Variable
 from ..models import catalogue
 from ..names import matches
 from .connections import Fmus, connect, dropped_sinks, undriven
+from .motors import with_motors
 from .plan import Component, Plan, readable
 
 Reader = Callable[..., Fmu]
@@ -31,12 +32,18 @@ Signal = tuple[str, Variable]  # a component, and a variable of it
 
 
 def resolve(
-    experiment: Experiment, built: Mapping[str, Path], unbuilt: Mapping[str, str], reader: Reader = read
+    experiment: Experiment,
+    built: Mapping[str, Path],
+    unbuilt: Mapping[str, str],
+    reader: Reader = read,
+    *,
+    motors: bool = True,
 ) -> Plan:
     """Fit the experiment to its FMUs.
 
-    built: {model: its FMU}; unbuilt: {model: why it cannot be built}; reader: in place of `fmu.read`.  Raises
-    ExperimentError with every problem.
+    built: {model: its FMU}; unbuilt: {model: why it cannot be built}; reader: in place of `fmu.read`.  motors: put the
+    component before the thrusters of a steered vehicle, which orch 0.1.0 did not have.  Raises ExperimentError with
+    every problem.
     """
     fmus, fmu_problems = _read_fmus(experiment, built, unbuilt, reader)
     reasons, isolation_problems = _isolate(experiment, fmus)
@@ -54,6 +61,9 @@ def resolve(
             component, component.name in accepting, driven[component.name], judged.get(component.name, set())
         )
     ]
+    if motors:
+        components, connections = with_motors(components, connections)
+        fmus = {component.name: component.fmu for component in components}
     recorded, record_problems = _recorded(experiment, fmus)
     problems = [
         *experiment.problems,

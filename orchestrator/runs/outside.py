@@ -60,6 +60,7 @@ class Outside:
                 due = pacer.due if pacer else at_once
                 bridge = Bridge(plan, endpoints, key, steered.controls_of(plan, context), due)
                 opened.callback(bridge.close)
+                self.notes += steered.speaking_themselves(plan)
                 plan = bridge.watched(plan)
                 observers.append(bridge)
             yield Ties(plan, observers, context)

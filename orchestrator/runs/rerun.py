@@ -33,9 +33,16 @@ def plan_of(record: Run, report: Callable[[str], None]) -> Plan:
     path = Path(facts["experiment_path"])
     loaded = parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
     packagings = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if c.fmu}
-    plan = resolve(loaded, *build_models(packagings, report))
+    resolved = record.resolved
+    ran = {component["name"] for component in resolved.get("components", ())}
+    plan = resolve(loaded, *build_models(packagings, report), motors=not ran <= {c.name for c in loaded.components})
     if plan.live:
-        plan = dataclasses.replace(plan, created=facts["experiment_resolved"]["created"])
+        recorded = {*resolved["record"]["signals"]}
+        plan = dataclasses.replace(
+            plan,
+            created=resolved["created"],
+            recorded=tuple((c, v) for c, v in plan.recorded if f"{c}.{v.name}" in recorded),
+        )
     for component in plan.components:
         was = record.fact(component.name, "fmu_sha256")
         if component.fmu.sha256 != was:
@@ -57,13 +64,17 @@ def replay_of(record: Run, plan: Plan) -> dict[str, dict[str, Any]]:
 
     Raises StoreError where the record does not say.
     """
-    context = {}
+    context: dict[str, dict[str, Any]] = {}
+    if plan.live:
+        from ..mavlink.steered import context_of
+
+        context = context_of(plan)
     for component in plan.components:
-        if component.live:
+        if component.hears:
             heard = record.heard(component.name)
             if heard is None:
                 raise StoreError(f"{record.path} does not say what {component.name!r} heard; it cannot be repeated")
-            context[component.name] = {"replay": heard}
+            context.setdefault(component.name, {})["replay"] = heard
     return context
 
 

@@ -28,7 +28,7 @@ PARAMETERS = "initialValues"  # the name of every component's parameter set: Eco
 
 def export(plan: Plan, target: Path) -> Path:
     """Write the .ssp.  Raises OrchError where a text cannot stand in XML, StoreError where it cannot be written."""
-    if live := [component.name for component in plan.components if component.live]:
+    if live := [component.name for component in plan.components if component.hears]:
         names = ", ".join(live)
         raise OrchError(f"{plan.experiment.path} cannot become an SSP: {names} runs inside orch and is not an FMU")
     sources = _sources(plan)

@@ -124,7 +124,7 @@ def _plans(
     problems += [
         Problem(f"components.{component.name}", "is steered from outside; runs at other steps would get other inputs")
         for component in plan.components
-        if component.live
+        if component.hears
     ]
     if not plan.experiment.metrics:
         problems.append(Problem("metrics", "the experiment has none; convergence is judged by its metrics"))

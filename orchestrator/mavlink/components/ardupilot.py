@@ -31,6 +31,7 @@ LAYOUTS = {  # {magic number: layout}: magic number, frames per second, number o
 DATAGRAM = 1 << 16  # bytes
 FIRST_PORT, PORTS = 9002, 10  # ArduPilot's instance n uses 9002 + 10 n
 MOTORS = 6
+SYSTEM_IDS = 255  # the largest of MAVLink
 LONGEST_STEP = 0.1  # s; ArduPilot ignores longer ones
 USUAL_STEP = 0.0025  # s; ArduSub's loop runs at 400 Hz
 LOOK = 0.1  # s, between two looks at whether the run was interrupted
@@ -40,6 +41,7 @@ PARAMETERS = {  # {name: (default, unit, description)}
     "patience": (60.0, "s", "wall time to wait for ArduPilot's first packet"),
     "timeout": (10.0, "s", "wall time to wait for a later packet"),
     "all_hosts": (0.0, "1", "1: accept packets from other machines, too"),
+    "system_id": (0.0, "1", "ArduPilot's SYSID_THISMAV; 0: as [mavlink] has it for the vehicle"),
 }
 # The shipped vehicle's thrusters in ArduSub's numbering: T1 = -M2, T2 = -M1, T3 = -M4, T4 = -M3, T5 = -M6, T6 = -M5.
 SHIPPED = -FACTORS[[1, 0, 3, 2, 5, 4]].T
@@ -58,6 +60,9 @@ class ArdupilotJson:
         port = chosen["port"]
         if port != int(port) or not 0 < port < 1 << 16:
             raise OrchError(f"{self._key}.port: is {port!r}; ports are 1 to 65535")
+        system = chosen["system_id"]
+        if system != int(system) or not 0 <= system <= SYSTEM_IDS:
+            raise OrchError(f"{self._key}.system_id: is {system!r}; give one of 1 to {SYSTEM_IDS}, or 0")
         self._port, self._patience, self._timeout = int(port), float(chosen["patience"]), float(chosen["timeout"])
         self._frame: ThrusterFrame = context.get("frame") or ThrusterFrame(SHIPPED)
         self._interrupted = context.get("interrupted", bool)

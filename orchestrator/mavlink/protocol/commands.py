@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
-from ..vehicle.autopilot import Autopilot, FlightMode
+from ..vehicle.autopilot import Autopilot
 from ..vehicle.control import SetPoint
+from ..vehicle.modes import FlightMode
 from ..vehicle.sample import to_ned
 from . import telemetry
 from .dialect import Message, mavlink
@@ -18,8 +20,17 @@ FAILED, UNSUPPORTED = mavlink.MAV_RESULT_FAILED, mavlink.MAV_RESULT_UNSUPPORTED
 DEFAULT, DISABLED = 0, -1  # us, in SET_MESSAGE_INTERVAL
 UNAVAILABLE = 0  # us, in MESSAGE_INTERVAL; DISABLED likewise
 
-Announce = Callable[[Autopilot, str], None]  # sends a STATUSTEXT to all stations
+WARNING = mavlink.MAV_SEVERITY_WARNING
+SLOWEST_TURN, FASTEST_TURN = 1.0, 360.0  # degrees/s, the limits in CONDITION_YAW
+NOT_STEERED = "the experiment drives this"  # vehicle; a STATUSTEXT has 50 characters
+
 Answer = tuple[int, Sequence[Message]]  # MAV_RESULT, and the messages that follow the COMMAND_ACK
+
+
+class Announce(Protocol):
+    """Sends a STATUSTEXT to all stations that see a vehicle."""
+
+    def __call__(self, autopilot: Autopilot, text: str, severity: int = ..., /) -> None: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,41 +92,105 @@ def get_interval(command: Command, channel: VehicleChannel) -> Answer:
 
 
 def arm(command: Command, channel: VehicleChannel) -> Answer:
-    """A component of the experiment drives the vehicle: it can be disarmed only if that component takes steering."""
-    autopilot, wanted = channel.autopilot, command.whole(1)
-    if wanted not in (0, 1):
-        return FAILED, []
-    if not wanted and autopilot.control is None:
-        command.announce(autopilot, "Disarm: the experiment drives this vehicle")
-        return FAILED, []
-    if autopilot.armed != bool(wanted):
-        autopilot.armed = bool(wanted)
-        command.announce(autopilot, "Arming motors" if wanted else "Disarming motors")
-    if autopilot.control:
-        autopilot.control.armed = autopilot.armed
-    return ACCEPTED, []
+    wanted = command.whole(1)
+    done = wanted in (0, 1) and arm_or_disarm(channel.autopilot, bool(wanted), command.announce)
+    return (ACCEPTED if done else FAILED), []
+
+
+def terminate(command: Command, channel: VehicleChannel) -> Answer:
+    """DO_FLIGHTTERMINATION disarms, as ArduSub's does."""
+    done = command.parameters[0] > 0.5 and arm_or_disarm(channel.autopilot, False, command.announce)
+    return (ACCEPTED if done else FAILED), []
+
+
+def arm_or_disarm(autopilot: Autopilot, armed: bool, announce: Announce) -> bool:
+    """Arm or disarm; False: a vehicle whose thrusters go on turning is not disarmed."""
+    control = autopilot.control
+    if not armed and (control is None or not (control.stops or control.holds_disarmed)):
+        reason = NOT_STEERED if control is None else "no access to its thrusters"
+        announce(autopilot, f"Disarm refused: {reason}", WARNING)
+        return False
+    if autopilot.armed != armed:
+        autopilot.arm(armed)
+        announce(autopilot, "Arming motors" if armed else "Disarming motors")
+    return True
 
 
 def set_mode(command: Command, channel: VehicleChannel) -> Answer:
     flags, mode = command.whole(1), command.whole(2)
     if flags is None or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or mode is None:
         return FAILED, []
-    return (ACCEPTED if change_mode(channel.autopilot, mode, command.announce) else FAILED), []
+    return _entered(command, channel, mode)
 
 
 def change_mode(autopilot: Autopilot, number: int, announce: Announce) -> bool:
-    """Enter a mode by its number.  False: there is none with that number."""
+    """Enter a mode by its number; False: the vehicle cannot, which is announced."""
     try:
         mode = FlightMode(number)
     except ValueError:
+        announce(autopilot, f"Mode {number} refused: no such mode", WARNING)
         return False
-    if mode != autopilot.mode:
-        autopilot.mode = mode
+    if autopilot.control is None:
+        if mode == autopilot.mode:
+            return True
+        reason = NOT_STEERED
+    else:
+        reason = autopilot.control.refusal(mode)
+    if reason:
+        announce(autopilot, f"{mode.name} refused: {reason}", WARNING)
+        return False
+    changed = mode != autopilot.mode
+    autopilot.enter(mode)
+    if changed:
         announce(autopilot, f"Mode {mode.name}")
-    if autopilot.control:
-        autopilot.control.set_point = None
-        autopilot.control.guided = mode == FlightMode.GUIDED
     return True
+
+
+def surface(command: Command, channel: VehicleChannel) -> Answer:
+    """NAV_LAND rises, as ArduSub's does."""
+    return _entered(command, channel, FlightMode.SURFACE)
+
+
+def loiter(command: Command, channel: VehicleChannel) -> Answer:
+    return _entered(command, channel, FlightMode.POSHOLD)
+
+
+def turn(command: Command, channel: VehicleChannel) -> Answer:
+    """CONDITION_YAW: an angle in 0..360 degrees, how fast in degrees/s, which way, whether from the present heading."""
+    autopilot, control = channel.autopilot, channel.autopilot.control
+    angle, speed, way, relative = command.parameters[:4]
+    at = autopilot.latest
+    if not 0 <= angle <= 360 or relative not in (0, 1) or not math.isfinite(speed):
+        return DENIED, []
+    if control is None or at is None or "yaw" not in control.held():
+        reason = NOT_STEERED if control is None else f"{autopilot.mode.name} holds no heading"
+        command.announce(autopilot, f"Heading refused: {reason}", WARNING)
+        return FAILED, []
+    yaw = math.radians(angle)
+    if relative:
+        yaw = float(at.eta[5]) + (-yaw if way < 0 else yaw)
+    control.set_point = replace(
+        control.set_point or SetPoint(),
+        yaw=yaw,
+        yaw_rate=None,
+        turn=math.radians(min(max(speed, SLOWEST_TURN), FASTEST_TURN)) if speed else None,
+    )
+    return ACCEPTED, []
+
+
+def change_speed(command: Command, channel: VehicleChannel) -> Answer:
+    """DO_CHANGE_SPEED: the horizontal speed to set points [m/s]; ArduSub denies climb and descent likewise."""
+    control, (kind, speed) = channel.autopilot.control, command.parameters[:2]
+    if control is None:
+        command.announce(channel.autopilot, f"Speed refused: {NOT_STEERED}", WARNING)
+        return FAILED, []
+    if kind not in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED):
+        command.announce(channel.autopilot, "Speed refused: only the horizontal speed changes", WARNING)
+        return DENIED, []
+    if not 0 < speed < math.inf:
+        return DENIED, []
+    control.speed = speed
+    return ACCEPTED, []
 
 
 def get_home(command: Command, channel: VehicleChannel) -> Answer:
@@ -123,16 +198,24 @@ def get_home(command: Command, channel: VehicleChannel) -> Answer:
     return (FAILED, []) if at is None else (ACCEPTED, telemetry.home_position(channel.autopilot, at, command.wall))
 
 
-def cannot(command: Command, channel: VehicleChannel) -> Answer:
-    """A command that ArduSub knows and a simulated vehicle cannot follow: home, for one, is the experiment's origin."""
-    return FAILED, []
+def cannot(reason: str) -> Callable[[Command, VehicleChannel], Answer]:
+    """A command that ArduSub knows and a simulated vehicle cannot follow."""
+
+    def refuse(command: Command, channel: VehicleChannel) -> Answer:
+        command.announce(channel.autopilot, reason, WARNING)
+        return FAILED, []
+
+    return refuse
 
 
 def reposition(command: Command, channel: VehicleChannel) -> Answer:
     """Go to a place, in mode GUIDED from then on."""
     autopilot = channel.autopilot
     latitude, longitude, altitude = command.parameters[4:7]
-    if autopilot.control is None or not all(map(math.isfinite, (latitude, longitude))):
+    if autopilot.control is None:
+        command.announce(autopilot, f"Position refused: {NOT_STEERED}", WARNING)
+        return FAILED, []
+    if not all(map(math.isfinite, (latitude, longitude))):
         return FAILED, []
     if abs(latitude) > 90 or abs(longitude) > 180:
         return DENIED, []
@@ -155,12 +238,21 @@ COMMANDS: dict[int, Callable[[Command, VehicleChannel], Answer]] = {
     mavlink.MAV_CMD_DO_SET_MODE: set_mode,
     mavlink.MAV_CMD_GET_HOME_POSITION: get_home,
     mavlink.MAV_CMD_DO_REPOSITION: reposition,
-    mavlink.MAV_CMD_DO_SET_HOME: cannot,
-    mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: cannot,
-    mavlink.MAV_CMD_NAV_TAKEOFF: cannot,
-    mavlink.MAV_CMD_NAV_LAND: cannot,
-    mavlink.MAV_CMD_MISSION_START: cannot,
+    mavlink.MAV_CMD_NAV_LAND: surface,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: loiter,
+    mavlink.MAV_CMD_CONDITION_YAW: turn,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: change_speed,
+    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
+    mavlink.MAV_CMD_DO_SET_HOME: cannot("Home stays the origin of the experiment"),
+    mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: cannot("A simulated vehicle is not rebooted"),
+    mavlink.MAV_CMD_NAV_TAKEOFF: cannot("A submarine does not take off"),
+    mavlink.MAV_CMD_MISSION_START: cannot("Mission refused: no missions yet"),
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: cannot("Mission refused: no missions yet"),
 }
+
+
+def _entered(command: Command, channel: VehicleChannel, mode: int) -> Answer:
+    return (ACCEPTED if change_mode(channel.autopilot, mode, command.announce) else FAILED), []
 
 
 def _message_name(command: Command) -> str | None:

@@ -13,7 +13,7 @@ from ..vehicle.autopilot import Autopilot
 from ..vehicle.parameters import AutopilotParameter, ParameterType
 from ..vehicle.sample import E7
 from . import steering, telemetry
-from .commands import Announce, Command, carry_out, change_mode
+from .commands import ACCEPTED, DENIED, FAILED, WARNING, Announce, Command, carry_out, change_mode
 from .dialect import AUTOPILOT, Message, mavlink
 from .station import VehicleChannel
 
@@ -30,6 +30,8 @@ PARAMETER_TYPES = {
     ParameterType.FLOAT: mavlink.MAV_PARAM_TYPE_REAL32,
 }
 EVERYBODY = 0  # as target system or component
+NO_MISSIONS = "Mission refused: no missions yet"
+AGAIN = 5.0  # s, before the same refusal is announced again
 
 
 class Conversation:
@@ -38,6 +40,7 @@ class Conversation:
     def __init__(self, announce: Announce, echo: Callable[[Autopilot, Message], None]):
         self._announce, self._echo = announce, echo
         self._pilots: dict[int, steering.Pilot] = {}
+        self._refused: dict[tuple[int, str], float] = {}  # {system id and text: when it was sent last (monotonic) [s]}
 
     def handle(self, channel: VehicleChannel, request: Message, now: float) -> None:
         """Answer a message if it is for this vehicle.  now: monotonic [s]."""
@@ -58,14 +61,23 @@ class Conversation:
     def _command(self, channel: VehicleChannel, request: Message, parameters: list[float], now: float) -> None:
         command = Command(parameters=parameters, now=now, wall=time.time(), announce=self._announce)
         result, messages = carry_out(request.command, command, channel)
-        ack = mavlink.MAVLink_command_ack_message(
-            command=request.command, result=result, progress=0, result_param2=0, **_to_sender(request)
+        self._acknowledge(channel, request, request.command, result)
+        channel.send(*messages)
+
+    def _acknowledge(self, channel: VehicleChannel, request: Message, number: int, result: int) -> None:
+        channel.send(
+            mavlink.MAVLink_command_ack_message(
+                command=number, result=result, progress=0, result_param2=0, **_to_sender(request)
+            )
         )
-        channel.send(ack, *messages)
 
     def _set_mode(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        """Answered by a COMMAND_ACK although it is no command, as ArduPilot does."""
+        result = DENIED
         if request.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-            change_mode(channel.autopilot, request.custom_mode, self._announce)
+            entered = change_mode(channel.autopilot, request.custom_mode, self._announce)
+            result = ACCEPTED if entered else FAILED
+        self._acknowledge(channel, request, mavlink.MAVLINK_MSG_ID_SET_MODE, result)
 
     def _data_stream(self, channel: VehicleChannel, request: Message, now: float) -> None:
         channel.set_stream(request.req_stream_id, request.req_message_rate if request.start_stop else None, now)
@@ -107,6 +119,10 @@ class Conversation:
 
     def _mission_upload(self, channel: VehicleChannel, request: Message, now: float) -> None:
         self._mission(channel, request, mavlink.MAV_MISSION_UNSUPPORTED)
+        self._refuse(channel, NO_MISSIONS, now)
+
+    def _mission_current(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        self._refuse(channel, NO_MISSIONS, now)
 
     def _mission_clear(self, channel: VehicleChannel, request: Message, now: float) -> None:
         self._mission(channel, request, mavlink.MAV_MISSION_ACCEPTED)
@@ -140,10 +156,17 @@ class Conversation:
 
     def _override(self, channel: VehicleChannel, request: Message, now: float) -> None:
         if self._is_pilot(channel, request):
-            self._pilot(channel).channels(request, now)
+            self._refuse(channel, self._pilot(channel).channels(request, now), now)
 
     def _set_point(self, channel: VehicleChannel, request: Message, now: float) -> None:
-        steering.set_point(channel.autopilot, request)
+        self._refuse(channel, steering.SET_POINTS[request.get_type()](channel.autopilot, request, now), now)
+
+    def _refuse(self, channel: VehicleChannel, text: str, now: float) -> None:
+        """Announce why something is not done, unless "".  What is sent many times a second is refused now and then."""
+        key = channel.autopilot.system, text
+        if text and now - self._refused.get(key, -AGAIN) >= AGAIN:
+            self._refused[key] = now
+            self._announce(channel.autopilot, text, WARNING)
 
     def _pilot(self, channel: VehicleChannel) -> steering.Pilot:
         return self._pilots.setdefault(channel.autopilot.system, steering.Pilot(channel.autopilot))
@@ -163,6 +186,10 @@ HANDLERS: dict[str, Callable[[Conversation, VehicleChannel, Message, float], Non
     "FILE_TRANSFER_PROTOCOL": Conversation._ftp,
     "MISSION_REQUEST_LIST": Conversation._mission_list,
     "MISSION_COUNT": Conversation._mission_upload,
+    "MISSION_ITEM": Conversation._mission_upload,
+    "MISSION_ITEM_INT": Conversation._mission_upload,
+    "MISSION_WRITE_PARTIAL_LIST": Conversation._mission_upload,
+    "MISSION_SET_CURRENT": Conversation._mission_current,
     "MISSION_CLEAR_ALL": Conversation._mission_clear,
     "MISSION_REQUEST_INT": Conversation._mission_item,
     "MISSION_REQUEST": Conversation._mission_item,
@@ -171,7 +198,7 @@ HANDLERS: dict[str, Callable[[Conversation, VehicleChannel, Message, float], Non
     "PING": Conversation._ping,
     "MANUAL_CONTROL": Conversation._manual_control,
     "RC_CHANNELS_OVERRIDE": Conversation._override,
-    "SET_POSITION_TARGET_LOCAL_NED": Conversation._set_point,
+    **dict.fromkeys(steering.SET_POINTS, Conversation._set_point),
 }
 
 

@@ -1,24 +1,34 @@
 """MANUAL_CONTROL, RC_CHANNELS_OVERRIDE and set points, as ArduSub understands them.
 
-ArduSub/joystick.cpp and ArduSub/GCS_MAVLink_Sub.cpp.
+ArduSub/joystick.cpp and ArduSub/GCS_MAVLink_Sub.cpp; overrides: GCS_MAVLINK::handle_rc_channels_override.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
-from ..vehicle.autopilot import Autopilot, FlightMode
-from ..vehicle.control import SetPoint, Stick
+from ..vehicle.autopilot import Autopilot
+from ..vehicle.control import CHANNELS, FORWARD, LATERAL, PITCH, ROLL, THROTTLE, YAW, Control, Override, SetPoint
 from ..vehicle.frame import REST, SPAN
+from ..vehicle.modes import FlightMode
 from ..vehicle.parameters import ButtonFunction
-from .commands import Announce, change_mode
+from ..vehicle.sample import E7, to_ned
+from .commands import Announce, arm_or_disarm, change_mode
 from .dialect import Message, mavlink
 
-FULL_AXIS = 1000  # of MANUAL_CONTROL: x, y and r in -1000..1000, z in 0..1000
+FULL_AXIS = 1000  # of MANUAL_CONTROL: x, y, r, s and t in -1000..1000, z in 0..1000
 NEUTRAL_Z = 500
+HAS_PITCH, HAS_ROLL = 1, 2  # bits of enabled_extensions: s and t count
 BUTTONS = 32
-UNCHANGED = (0, 65535)  # us: what RC_CHANNELS_OVERRIDE sends for a channel that it leaves alone
+FIRST_CHANNELS = 8  # whose RC_CHANNELS_OVERRIDE has other values for "release" and "leave alone"
+LEAVE = 65535  # us: the channel stays as it is
+RELEASE_LATER = 65534  # us: releases one of channels 9 to 18, which 0 leaves alone
+MOVED = 0.01  # of a full stick; what moves further ends a set point
 FARTHEST = 1e5  # m, m/s, rad or rad/s: beyond it a set point is nonsense
+LEVEL = math.radians(1.0)  # a pitch beyond it is more than rounding
+NEUTRAL_THRUST = 0.5
 
 BUTTON_MODES: dict[int, FlightMode] = {
     ButtonFunction.MODE_MANUAL: FlightMode.MANUAL,
@@ -26,6 +36,8 @@ BUTTON_MODES: dict[int, FlightMode] = {
     ButtonFunction.MODE_DEPTH_HOLD: FlightMode.ALT_HOLD,
     ButtonFunction.MODE_POSHOLD: FlightMode.POSHOLD,
 }
+BUTTON_ARMING = (ButtonFunction.ARM, ButtonFunction.DISARM, ButtonFunction.ARM_TOGGLE)
+BUTTON_GAIN = (ButtonFunction.GAIN_INCREASE, ButtonFunction.GAIN_DECREASE)
 
 IGNORE_POSITION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE,
@@ -39,16 +51,31 @@ IGNORE_VELOCITY = (
 )
 IGNORE_YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 IGNORE_YAW_RATE = mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+IGNORE_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+IGNORE_THROTTLE = mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
 BODY_FRAMES = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED, mavlink.MAV_FRAME_BODY_FRD)
 FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_OFFSET_NED, *BODY_FRAMES)
+GLOBAL_FRAMES = (  # home and sea level are both at the origin
+    mavlink.MAV_FRAME_GLOBAL,
+    mavlink.MAV_FRAME_GLOBAL_INT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
+ATTITUDE_MODES = (FlightMode.ALT_HOLD, FlightMode.STABILIZE, FlightMode.GUIDED)
+
+# Why a set point is not followed; a STATUSTEXT has 50 characters.
+NOT_STEERED = "Set point ignored: the experiment drives this"
+NONSENSE = "Set point ignored: its values make no sense"
+NO_FRAME = "Set point ignored: unknown coordinate frame"
+NOTHING = "Set point ignored: its type_mask leaves nothing"
+ACCELERATION = "Set point ignored: accelerations alone"
 
 
 class Pilot:
-    """The joystick of one vehicle: its gain, and which buttons are down."""
+    """The joystick of one vehicle: which buttons are down."""
 
     def __init__(self, autopilot: Autopilot):
         self._autopilot, self._buttons = autopilot, 0
-        self._gain = autopilot.parameters["JS_GAIN_DEFAULT"]
 
     def manual_control(self, message: Message, now: float, announce: Announce) -> None:
         """MANUAL_CONTROL.  An axis beyond its range is neutral."""
@@ -56,32 +83,55 @@ class Pilot:
         if control is None:
             return
         self._press((message.buttons & 0xFFFF) | (getattr(message, "buttons2", 0) & 0xFFFF) << 16, announce)
-        throttle = self._gain * autopilot.parameters["JS_THR_GAIN"]
+        throttle = control.gain * autopilot.parameters["JS_THR_GAIN"]
 
         def demand(axis: int) -> float:
-            return _limited(axis / FULL_AXIS * self._gain) if abs(axis) <= FULL_AXIS else 0.0
+            return _limited(axis / FULL_AXIS * control.gain) if abs(axis) <= FULL_AXIS else 0.0
 
         up = _limited((message.z - NEUTRAL_Z) / NEUTRAL_Z * throttle) if 0 <= message.z <= FULL_AXIS else 0.0
-        control.timeout = autopilot.parameters["FS_PILOT_TIMEOUT"]
-        control.stick = Stick(surge=demand(message.x), sway=demand(message.y), heave=-up, yaw=demand(message.r), at=now)
+        demands = {
+            THROTTLE: up,
+            YAW: demand(message.r),
+            FORWARD: demand(message.x),
+            LATERAL: demand(message.y),
+        }
+        extensions = getattr(message, "enabled_extensions", 0)
+        if extensions & HAS_PITCH:
+            demands[PITCH] = demand(message.s)
+        if extensions & HAS_ROLL:
+            demands[ROLL] = demand(message.t)
+        pulses = {n: Override(pulse=REST + SPAN * value, at=now, joystick=True) for n, value in demands.items()}
+        control.overrides = {**control.overrides, **pulses}
+        _end_set_points(control)
 
-    def channels(self, message: Message, now: float) -> None:
-        """RC_CHANNELS_OVERRIDE: throttle, yaw, forward and lateral on channels 3 to 6."""
+    def channels(self, message: Message, now: float) -> str:
+        """RC_CHANNELS_OVERRIDE: each channel is overridden, released or left alone; returns what a channel cannot do.
+
+        Pitch, roll, throttle, yaw, forward and lateral are channels 1 to 6.
+        """
         control = self._autopilot.control
         if control is None:
-            return
-        before = control.stick
-        pulses = message.chan3_raw, message.chan4_raw, message.chan5_raw, message.chan6_raw
-        throttle, yaw, forward, lateral = (
-            old if pulse in UNCHANGED else _limited((pulse - REST) / SPAN)
-            for pulse, old in zip(pulses, (-before.heave, before.yaw, before.surge, before.sway), strict=True)
-        )
-        control.timeout = self._autopilot.parameters["FS_PILOT_TIMEOUT"]
-        control.stick = Stick(surge=forward, sway=lateral, heave=-throttle, yaw=yaw, at=now)
+            return ""
+        overrides, idle = dict(control.overrides), ""
+        for n in range(1, CHANNELS + 1):
+            pulse = getattr(message, f"chan{n}_raw", 0)
+            first = n <= FIRST_CHANNELS
+            if pulse == LEAVE or (not first and pulse == 0):
+                continue
+            if pulse == (0 if first else RELEASE_LATER):
+                overrides.pop(n, None)
+                continue
+            overrides[n] = Override(pulse=pulse, at=now)
+            if pulse != REST and (n == PITCH or n > LATERAL):
+                idle = idle or f"Channel {n} moves nothing here"
+        control.overrides = overrides
+        _end_set_points(control)
+        return idle
 
     def _press(self, buttons: int, announce: Announce) -> None:
         """Do what the buttons are for that were up before.  buttons: a bit for each that is down."""
-        autopilot = self._autopilot
+        autopilot, control = self._autopilot, self._autopilot.control
+        assert control is not None
         new, self._buttons = buttons & ~self._buttons, buttons
         for n in range(BUTTONS):
             if not new >> n & 1:
@@ -89,33 +139,36 @@ class Pilot:
             function = int(autopilot.parameters[f"BTN{n}_FUNCTION"])
             if function in BUTTON_MODES:
                 change_mode(autopilot, BUTTON_MODES[function], announce)
-            elif function in (ButtonFunction.GAIN_INCREASE, ButtonFunction.GAIN_DECREASE):
+            elif function in BUTTON_GAIN:
                 low, high = autopilot.parameters["JS_GAIN_MIN"], autopilot.parameters["JS_GAIN_MAX"]
                 step = (high - low) / max(1.0, autopilot.parameters["JS_GAIN_STEPS"] - 1)
                 change = step if function == ButtonFunction.GAIN_INCREASE else -step
-                self._gain = min(high, max(low, self._gain + change))
-                announce(autopilot, f"#Gain is {self._gain * 100:.0f}%")
-            elif autopilot.control and function in (
-                ButtonFunction.ARM,
-                ButtonFunction.DISARM,
-                ButtonFunction.ARM_TOGGLE,
-            ):
+                control.gain = min(high, max(low, control.gain + change))
+                announce(autopilot, f"#Gain is {control.gain * 100:.0f}%")
+            elif function in BUTTON_ARMING:
                 toggled = not autopilot.armed
                 armed = toggled if function == ButtonFunction.ARM_TOGGLE else function == ButtonFunction.ARM
-                autopilot.armed = autopilot.control.armed = armed
+                arm_or_disarm(autopilot, armed, announce)
+            elif function != ButtonFunction.NONE:
+                announce(autopilot, f"Button {n} does nothing here", mavlink.MAV_SEVERITY_WARNING)
 
 
-def set_point(autopilot: Autopilot, message: Message) -> None:
-    """SET_POSITION_TARGET_LOCAL_NED, in mode GUIDED.  What it ignores stays as it is."""
+def local_set_point(autopilot: Autopilot, message: Message, now: float) -> str:
+    """SET_POSITION_TARGET_LOCAL_NED, in mode GUIDED; returns why it is not followed, or "".
+
+    What it ignores stays as it is.
+    """
     control, at = autopilot.control, autopilot.latest
-    if control is None or at is None or autopilot.mode != FlightMode.GUIDED:
-        return
+    if control is None or at is None:
+        return NOT_STEERED
+    if autopilot.mode != FlightMode.GUIDED:
+        return _wrong_mode(autopilot)
     values = (message.x, message.y, message.z, message.vx, message.vy, message.vz, message.yaw, message.yaw_rate)
-    if not all(map(math.isfinite, values)) or max(map(abs, values)) > FARTHEST:
-        return
+    if not _sensible(*values):
+        return NONSENSE
     mask, frame = message.type_mask, message.coordinate_frame
     if frame not in FRAMES:
-        return
+        return NO_FRAME
     position, velocity, yaw = list(values[:3]), list(values[3:6]), message.yaw
     in_body = frame in BODY_FRAMES
     if in_body:
@@ -125,13 +178,118 @@ def set_point(autopilot: Autopilot, message: Message) -> None:
         position = [value + float(here) for value, here in zip(position, at.eta[:3], strict=True)]
     if in_body and any(mask & bit for bit in IGNORE_POSITION[:2]):
         mask |= IGNORE_POSITION[0] | IGNORE_POSITION[1]  # one horizontal component alone cannot be turned
+    return _go(control, mask, position, velocity, yaw, message.yaw_rate, now)
+
+
+def global_set_point(autopilot: Autopilot, message: Message, now: float) -> str:
+    """SET_POSITION_TARGET_GLOBAL_INT, in mode GUIDED, and in mode ALT_HOLD its altitude; returns why it is not
+    followed, or ""."""
+    control, mask = autopilot.control, message.type_mask
+    if control is None:
+        return NOT_STEERED
+    if autopilot.mode not in (FlightMode.GUIDED, FlightMode.ALT_HOLD):
+        return _wrong_mode(autopilot)
+    values = (message.alt, message.vx, message.vy, message.vz, message.yaw, message.yaw_rate)
+    latitude, longitude = message.lat_int / E7, message.lon_int / E7
+    if not _sensible(*values) or abs(latitude) > 90 or abs(longitude) > 180:
+        return NONSENSE
+    if message.coordinate_frame not in GLOBAL_FRAMES:
+        return NO_FRAME
+    if autopilot.mode == FlightMode.ALT_HOLD:
+        if mask & IGNORE_POSITION[2]:
+            return "Depth target ignored: its type_mask ignores z"
+        before = control.set_point or SetPoint()
+        control.set_point = replace(before, position=(None, None, -message.alt), velocity=None)
+        return ""
+    north, east = to_ned(autopilot.origin, latitude, longitude)
+    velocity = [message.vx, message.vy, message.vz]
+    return _go(control, mask, [north, east, -message.alt], velocity, message.yaw, message.yaw_rate, now)
+
+
+def attitude_target(autopilot: Autopilot, message: Message, now: float) -> str:
+    """SET_ATTITUDE_TARGET: roll and yaw, and the climb rate that its thrust stands for, unless that is ignored.
+
+    Returns what of it is not followed, or "".
+    """
+    control, mode = autopilot.control, autopilot.mode
+    if control is None:
+        return NOT_STEERED
+    if mode not in ATTITUDE_MODES:
+        return f"Attitude ignored in mode {mode.name}"
+    if message.type_mask & IGNORE_ATTITUDE:
+        return "Attitude target ignored: rates alone"
+    size = math.hypot(*message.q)
+    if not math.isfinite(size) or not 0.5 < size < 2.0 or not math.isfinite(message.thrust):
+        return NONSENSE
+    roll, pitch, yaw = _euler(*(component / size for component in message.q))
+    climbs = not message.type_mask & IGNORE_THROTTLE
+    refused = "Attitude target: pitch stays level" if abs(pitch) > LEVEL else ""
+    if climbs and mode == FlightMode.STABILIZE:
+        refused, climbs = "Thrust ignored in mode STABILIZE", False
+    velocity = (0.0, 0.0, -_climb(autopilot, message.thrust)) if climbs else None
+    before = control.set_point if mode != FlightMode.GUIDED else None
+    position = before.position if before and not climbs else (None, None, None)
+    control.set_point = SetPoint(position=position, velocity=velocity, roll=roll, yaw=yaw, at=now)
+    return refused
+
+
+def _go(
+    control: Control, mask: int, position: list[float], velocity: list[float], yaw: float, yaw_rate: float, now: float
+) -> str:
+    """Take over a set point of mode GUIDED, in NED; returns why it is not followed, or ""."""
     x, y, z = (None if mask & bit else value for bit, value in zip(IGNORE_POSITION, position, strict=True))
-    control.set_point = SetPoint(
+    point = SetPoint(
         position=(x, y, z),
         velocity=None if mask & IGNORE_VELOCITY else (velocity[0], velocity[1], velocity[2]),
         yaw=None if mask & IGNORE_YAW else yaw,
-        yaw_rate=None if mask & IGNORE_YAW_RATE else message.yaw_rate,
+        yaw_rate=None if mask & IGNORE_YAW_RATE else yaw_rate,
+        at=now,
     )
+    if point == SetPoint(at=now):
+        accelerations = (
+            mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
+            | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
+            | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+        )
+        return NOTHING if mask & accelerations == accelerations else ACCELERATION
+    control.set_point = point
+    return ""
+
+
+def _end_set_points(control: Control) -> None:
+    """A stick that moves ends the set point of its motion."""
+    point = control.set_point
+    if point is None or control.mode == FlightMode.GUIDED:
+        return
+    _, _, heave, roll, yaw = map(abs, control.demands())
+    if heave > MOVED:
+        point = replace(point, position=(None, None, None), velocity=None)
+    if roll > MOVED:
+        point = replace(point, roll=None)
+    if yaw > MOVED:
+        point = replace(point, yaw=None, yaw_rate=None)
+    control.set_point = point
+
+
+def _climb(autopilot: Autopilot, thrust: float) -> float:
+    """Climb rate [m/s] that a thrust in 0..1 stands for."""
+    share = 2 * (max(0.0, min(1.0, thrust)) - NEUTRAL_THRUST)
+    return share * autopilot.parameters["WPNAV_SPEED_UP" if share > 0 else "WPNAV_SPEED_DN"] / 100
+
+
+def _euler(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad], zyx, of a unit quaternion."""
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(_limited(2 * (w * y - z * x)))
+    return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _wrong_mode(autopilot: Autopilot) -> str:
+    return f"Set point ignored in mode {autopilot.mode.name}"
+
+
+def _sensible(*values: float) -> bool:
+    return all(map(math.isfinite, values)) and max(map(abs, values)) <= FARTHEST
 
 
 def _turned(vector: list[float], psi: float) -> list[float]:
@@ -142,3 +300,10 @@ def _turned(vector: list[float], psi: float) -> list[float]:
 
 def _limited(value: float) -> float:
     return max(-1.0, min(1.0, value))
+
+
+SET_POINTS: dict[str, Callable[[Autopilot, Message, float], str]] = {
+    "SET_POSITION_TARGET_LOCAL_NED": local_set_point,
+    "SET_POSITION_TARGET_GLOBAL_INT": global_set_point,
+    "SET_ATTITUDE_TARGET": attitude_target,
+}

@@ -11,8 +11,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..vehicle.autopilot import BANNER, HASH, VERSION, Autopilot, FlightMode
+from ..vehicle.autopilot import BANNER, HASH, VERSION, Autopilot
+from ..vehicle.control import ALWAYS_SHOWN
 from ..vehicle.frame import REST
+from ..vehicle.modes import FlightMode
 from ..vehicle.sample import E7, Sample, within, wrapped
 from .dialect import Message, mavlink
 
@@ -63,12 +65,13 @@ CAPABILITIES = (  # without fence and rally points, which stations would ask for
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+)
+STEERED_CAPABILITIES = (  # of a vehicle that a component lets be steered
+    mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
 )
 MODE_FLAGS = (  # of ArduSub in every mode
     mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -101,9 +104,9 @@ def banner() -> list[Message]:
     return [statustext(text) for text in BANNER]
 
 
-def statustext(text: str) -> Message:
+def statustext(text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> Message:
     return mavlink.MAVLink_statustext_message(
-        severity=mavlink.MAV_SEVERITY_INFO,
+        severity=severity,
         text=text.encode("ascii", "replace")[:50],  # the field is 50 characters long
     )
 
@@ -302,7 +305,7 @@ def named_values(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]
         "TetherTrn": float(round(at.eta[5] / (2 * math.pi))),
         "Lights1": 0.0,
         "Lights2": 0.0,
-        "PilotGain": autopilot.parameters["JS_GAIN_DEFAULT"],
+        "PilotGain": autopilot.control.gain if autopilot.control else autopilot.parameters["JS_GAIN_DEFAULT"],
         "InputHold": 0.0,
         "RollPitch": 0.0,
         "RFTarget": 0.0,
@@ -322,11 +325,12 @@ def servo_output(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]
 
 
 def rc_channels(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]:
-    inputs = autopilot.control.channels() if autopilot.control else [REST] * 8
-    pulses = {f"chan{n}_raw": inputs[n - 1] if n <= len(inputs) else NOTHING for n in range(1, 19)}
+    idle = dict.fromkeys(range(1, ALWAYS_SHOWN + 1), REST)
+    inputs = autopilot.control.channels() if autopilot.control else idle
+    pulses = {f"chan{n}_raw": inputs.get(n, NOTHING) for n in range(1, 19)}
     return [
         mavlink.MAVLink_rc_channels_message(
-            time_boot_ms=at.milliseconds, chancount=len(inputs), **pulses, rssi=UNKNOWN_RSSI
+            time_boot_ms=at.milliseconds, chancount=max(inputs), **pulses, rssi=UNKNOWN_RSSI
         )
     ]
 
@@ -418,9 +422,14 @@ def extended_sys_state(autopilot: Autopilot, at: Sample, wall: float) -> list[Me
 
 def autopilot_version(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]:
     major, minor, patch = VERSION
+    capabilities = CAPABILITIES
+    if control := autopilot.control:
+        capabilities |= STEERED_CAPABILITIES
+        if control.stops:
+            capabilities |= mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
     return [
         mavlink.MAVLink_autopilot_version_message(
-            capabilities=CAPABILITIES,
+            capabilities=capabilities,
             flight_sw_version=major << 24 | minor << 16 | patch << 8 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL,
             middleware_sw_version=0,
             os_sw_version=0,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from .frame import ThrusterFrame
+from .modes import FlightMode
 from .parameters import AutopilotParameters
 from .sample import Sample
 
@@ -22,29 +22,14 @@ BANNER = (f"ArduSub V{'.'.join(map(str, VERSION))} ({HASH})", "Frame: VECTORED")
 MOST_SAMPLES = 256  # that may wait for the bridge's thread; the oldest are dropped
 
 
-class FlightMode(IntEnum):
-    """ArduSub's flight modes, HEARTBEAT's custom_mode (ArduSub/mode.h)."""
-
-    STABILIZE = 0
-    ACRO = 1
-    ALT_HOLD = 2
-    AUTO = 3
-    GUIDED = 4
-    CIRCLE = 7
-    SURFACE = 9
-    POSHOLD = 16
-    MANUAL = 19
-    MOTOR_DETECT = 20
-    SURFTRAK = 21
-
-
 @dataclass(kw_only=True)
 class Autopilot:
     """The autopilot of one vehicle.
 
     system: MAVLink system id.  component: the vehicle's name in the experiment.  origin: latitude and longitude of NED
-    (0, 0, 0) [degrees].  frame: None if the vehicle has no thruster matrix.  control: where steering goes, None if no
-    component takes it.  samples: each with the time (monotonic) [s] from which it holds.
+    (0, 0, 0) [degrees].  frame: None if the vehicle has no thruster matrix.  control: where steering goes, which has
+    mode and arming, too; None if no component takes it.  samples: each with the time (monotonic) [s] from which it
+    holds.
     """
 
     system: int
@@ -56,6 +41,23 @@ class Autopilot:
     mode: FlightMode = FlightMode.GUIDED
     armed: bool = True
     samples: deque[tuple[float, Sample]] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
+
+    def __post_init__(self) -> None:
+        if self.control:
+            self.mode, self.armed = self.control.mode, self.control.armed
+            self.control.parameters, self.control.gain = self.parameters, self.parameters["JS_GAIN_DEFAULT"]
+
+    def enter(self, mode: FlightMode) -> None:
+        """Change the mode of a vehicle that is steered."""
+        self.mode = mode
+        if self.control:
+            self.control.enter(mode)
+
+    def arm(self, armed: bool) -> None:
+        """Arm or disarm a vehicle that is steered."""
+        self.armed = armed
+        if self.control:
+            self.control.armed = armed
 
     def show(self, sample: Sample, due: float = 0.0) -> None:
         """Add a sample that holds from `due` on.  The run calls this, the bridge's thread `latest`: neither waits."""

@@ -1,4 +1,4 @@
-"""Steering from outside: the last request of a ground station to a vehicle, kept for the component that follows it.
+"""Steering from outside: what ground stations last asked of a vehicle, kept for the component that follows it.
 
 The bridge's thread writes, the loop reads; each value is replaced as a whole, so that neither waits for the other.
 """
@@ -6,55 +6,137 @@ The bridge's thread writes, the loop reads; each value is replaced as a whole, s
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from .frame import REST, SPAN
+from .modes import HELD, MOTIONS, REFUSED, FlightMode
+
+if TYPE_CHECKING:
+    from .parameters import AutopilotParameters
+
+PITCH, ROLL, THROTTLE, YAW, FORWARD, LATERAL = range(1, 7)  # input channels (RCMAP_*)
+CHANNELS = 18
+ALWAYS_SHOWN = 8  # of them
+VELOCITY_TIMEOUT = 3.0  # s; GUIDED_POSVEL_TIMEOUT_MS (ArduSub/mode_guided.cpp)
+DEFAULT_TIMEOUT = 3.0  # s; RC_OVERRIDE_TIME and FS_PILOT_TIMEOUT of a vehicle that nobody shows
+DEFAULT_SURFACE = -10.0  # cm; SURFACE_DEPTH likewise
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stick:
-    """Demands of a joystick, each in -1..1: surge, sway, heave (down) and yaw; at: when they came (monotonic) [s]."""
+class Override:
+    """What an input channel is overridden with.
 
-    surge: float = 0.0
-    sway: float = 0.0
-    heave: float = 0.0
-    yaw: float = 0.0
-    at: float = 0.0
+    pulse: us.  at: when it came (monotonic) [s].  joystick: it came by MANUAL_CONTROL.
+    """
+
+    pulse: float
+    at: float
+    joystick: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoint:
-    """Where to go in mode GUIDED, in NED: position [m], velocity [m/s], yaw [rad], yaw rate [rad/s]; None: as it is."""
+    """Where to go, in NED: position [m], velocity [m/s], roll and yaw [rad], yaw rate [rad/s]; None: as it is.
+
+    turn: how fast to turn to the yaw [rad/s].  at: when it came (monotonic) [s]; velocity and yaw rate count for
+    VELOCITY_TIMEOUT from then on.
+    """
 
     position: tuple[float | None, float | None, float | None] = (None, None, None)
     velocity: tuple[float, float, float] | None = None
+    roll: float | None = None
     yaw: float | None = None
     yaw_rate: float | None = None
+    turn: float | None = None
+    at: float = 0.0
 
 
 class Control:
-    """The steering of one vehicle."""
+    """The steering of one vehicle.
 
-    def __init__(self) -> None:
-        self.stick = Stick()
+    stops: whether its thrusters can be stopped, for their commands come through orch's own component; mixes: whether
+    that component also knows its frame, and so can drive them by the sticks.
+    """
+
+    def __init__(
+        self,
+        *,
+        armed: bool = True,
+        mode: FlightMode = FlightMode.POSHOLD,
+        holds_disarmed: bool = False,
+        stops: bool = False,
+        mixes: bool = False,
+    ) -> None:
+        self.armed, self.mode = armed, mode
+        self.holds_disarmed, self.stops, self.mixes = holds_disarmed, stops, mixes
+        self.parameters: AutopilotParameters | None = None  # of the autopilot that shows the vehicle
+        self.overrides: Mapping[int, Override] = {}  # by input channel, from 1
         self.set_point: SetPoint | None = None
-        self.armed = True
-        self.guided = False  # mode GUIDED: set points count, the stick does not
-        self.timeout = 3.0  # s; FS_PILOT_TIMEOUT
+        self.speed: float | None = None  # m/s, horizontal, on the way to set points; None: as the component has it
+        self.gain = 0.5  # of the joystick
 
-    def demands(self) -> tuple[float, float, float, float]:
-        """Surge, sway, heave and yaw in -1..1; neutral if disarmed, in mode GUIDED, or without input for `timeout`."""
-        stick = self.stick
-        silent = time.monotonic() - stick.at > self.timeout
-        if silent or self.guided or not self.armed:
-            return 0.0, 0.0, 0.0, 0.0
-        return stick.surge, stick.sway, stick.heave, stick.yaw
+    def refusal(self, mode: FlightMode) -> str:
+        """Why the vehicle cannot enter a mode; "" if it can."""
+        if mode in REFUSED:
+            return REFUSED[mode]
+        held_by_reference = mode in (FlightMode.POSHOLD, FlightMode.GUIDED, FlightMode.SURFACE)
+        return "" if self.mixes or held_by_reference else "no access to its thrusters"
+
+    def enter(self, mode: FlightMode) -> None:
+        self.mode, self.set_point = mode, None
+
+    def held(self) -> tuple[str, ...]:
+        """The motions that the controller holds; all where the sticks have no way to the thrusters."""
+        return HELD[self.mode] if self.mixes else MOTIONS
+
+    def demands(self) -> tuple[float, float, float, float, float]:
+        """Sticks in -1..1: surge, sway, heave (down), roll, yaw; neutral if disarmed or in mode GUIDED."""
+        if not self.armed or self.mode == FlightMode.GUIDED:
+            return 0.0, 0.0, 0.0, 0.0, 0.0
+        surge, sway, up, roll, yaw = map(self._demand, (FORWARD, LATERAL, THROTTLE, ROLL, YAW))
+        return surge, sway, 0.0 if self.mode == FlightMode.SURFACE else -up, roll, yaw
 
     def target(self) -> SetPoint | None:
-        """The set point, if it counts."""
-        return self.set_point if self.guided and self.armed else None
+        """The set point, as far as it counts now."""
+        target = self.set_point
+        if not self.armed or self.mode == FlightMode.MANUAL:
+            return None
+        if target is not None and time.monotonic() - target.at > VELOCITY_TIMEOUT:
+            target = replace(target, velocity=None, yaw_rate=None)
+        if self.mode == FlightMode.SURFACE:
+            return replace(target or SetPoint(), position=(None, None, self._surface()), velocity=None)
+        return target
 
-    def channels(self) -> list[int]:
-        """Input channels 1 to 8 as ArduSub would read them [us]: pitch, roll, throttle, yaw, forward, lateral, 7, 8."""
-        surge, sway, heave, yaw = self.demands()
-        return [REST, REST, *(round(REST + SPAN * demand) for demand in (-heave, yaw, surge, sway)), REST, REST]
+    def channels(self) -> dict[int, int]:
+        """Input channels as ArduSub would read them [us]: 1 to 8, and those above that are overridden."""
+        shown = {n: self._pulse(n) for n in range(1, CHANNELS + 1)}
+        return {
+            n: REST if pulse is None else round(pulse)
+            for n, pulse in shown.items()
+            if n <= ALWAYS_SHOWN or pulse is not None
+        }
+
+    def _demand(self, channel: int) -> float:
+        pulse = self._pulse(channel)
+        return 0.0 if pulse is None else max(-1.0, min(1.0, (pulse - REST) / SPAN))
+
+    def _pulse(self, channel: int) -> float | None:
+        """What a channel is overridden with [us]; None: it is released, or timed out."""
+        override = self.overrides.get(channel)
+        if override is None:
+            return None
+        age, limit = time.monotonic() - override.at, self._parameter("RC_OVERRIDE_TIME", DEFAULT_TIMEOUT)
+        if limit >= 0 and age >= limit:  # 0: overrides are off; negative: they last
+            return None
+        if override.joystick and age > self._parameter("FS_PILOT_TIMEOUT", DEFAULT_TIMEOUT):
+            return None
+        return override.pulse
+
+    def _surface(self) -> float:
+        """Depth of a vehicle at the surface [m]."""
+        return -self._parameter("SURFACE_DEPTH", DEFAULT_SURFACE) / 100
+
+    def _parameter(self, name: str, default: float) -> float:
+        return default if self.parameters is None else self.parameters[name]

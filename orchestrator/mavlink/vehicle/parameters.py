@@ -217,6 +217,7 @@ _DEFAULTS: dict[ParameterType, dict[str, float]] = {
         "JS_GAIN_MIN": 0.25,
         "JS_GAIN_MAX": 1.0,
         "JS_THR_GAIN": 1.0,
+        "RC_OVERRIDE_TIME": 3.0,
         "SURFACE_DEPTH": -10.0,
         "PILOT_THR_FILT": 0.0,
         "WPNAV_SPEED": 100.0,

@@ -15,8 +15,9 @@ from ...experiment.mavlink import MavlinkSpec
 from ...mavlink.fleet import spec_of
 from ...mavlink.tlog import LoggedVehicle
 from ...mavlink.tlog import write as write_log
-from ...mavlink.vehicle.autopilot import Autopilot, FlightMode
+from ...mavlink.vehicle.autopilot import Autopilot
 from ...mavlink.vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame, matrix_of
+from ...mavlink.vehicle.modes import FlightMode
 from ...mavlink.vehicle.parameters import AutopilotParameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
 from ...names import ETA_AXES, NU_AXES, split_axis

@@ -151,7 +151,7 @@ def prepare_as(experiment: Experiment, spec: SweepSpec, packaging: str, report: 
     if problems or any(p.key.startswith("sweep") for p in experiment.problems):
         raise ExperimentError(experiment.path, [*experiment.problems, *problems])
     plans = _plans(experiment, spec, packaging, report)
-    live = sorted({component.name for plan in plans for component in plan.components if component.live})
+    live = sorted({component.name for plan in plans for component in plan.components if component.hears})
     if live:
         sentence = "is steered from outside; runs of a sweep must give the same numbers again"
         raise ExperimentError(experiment.path, [Problem(f"components.{name}", sentence) for name in live])
