@@ -12,6 +12,7 @@ from orchestrator.models import build
 from orchestrator.simulation.loop import compiled
 
 LOOPS = ["python"] if compiled() is None else ["compiled", "python"]
+CONTROLLERS = ("pid", "feedback_linearization", "lyapunov", "mfsosmc", "nstsmc", "ftsosmc")
 NOT_VALID = "that its FMU declares, and {} at its farthest: the model is not valid there"
 
 
@@ -179,3 +180,55 @@ def test_a_jump_is_printed_as_a_note_and_a_limit_as_a_warning(orch, write, turni
     shown = orch("show", "last").out
     assert "note: reference.eta_d.psi jumps by" in shown
     assert "warning" not in shown
+
+
+def test_what_is_not_valid_from_the_start_is_a_note_of_check_and_a_warning_of_the_run(orch, write, spiral):
+    """Above the water, beyond the singularity, rates in degrees; a mass and a damping of the wrong sign."""
+    changes = {
+        "components.vehicle.parameters": {"eta_0": [0, 0, -1, 5, 1.5, 0], "nu_0": {"r": 30.0}, "m": -1.0, "X_u": 4.0},
+        "components.allocation.parameters": {"gamma": 45.0, "max_thrust": -40.0},
+        "components.reference.parameters": {"omega": 30.0},
+        "components.current.parameters": {"velocity": [50.0, 0, 0]},
+        "master.stop_time": 0.01,
+        "metrics": {},
+    }
+    path = write(merged(spiral, changes))
+    notes = orch("check", path, "--json").json["notes"]
+    assert sorted(notes) == [
+        "allocation: gamma = 45 rad is more than a full turn; 45 degrees are 0.7854 rad",
+        "allocation: gamma = 45.0 is above 3.14159, the max that its FMU declares",
+        "allocation: max_thrust = -40.0 is below 1e-09, the min that its FMU declares",
+        "current: velocity.x = 50.0 is above 10, the max that its FMU declares",
+        "reference: omega = 30.0 is above 6.28319, the max that its FMU declares",
+        "vehicle: X_u = 4.0 is above 0, the max that its FMU declares",
+        "vehicle: eta_0.phi = 5.0 is above 3.14159, the max that its FMU declares",
+        "vehicle: eta_0.theta = 1.5 is above 1.48353, the max that its FMU declares",
+        "vehicle: eta_0.z = -1.0 is below -0.01, the min that its FMU declares",
+        "vehicle: m = -1.0 is below 1e-09, the min that its FMU declares",
+        "vehicle: nu_0.r = 30.0 is above 6.28319, the max that its FMU declares",
+    ]
+    result = orch("run", path, "--json").json
+    assert set(notes) < set(result["warnings"])
+    assert set(result["warning_kinds"]) == {"limit"}
+
+
+@pytest.mark.parametrize("swap", CONTROLLERS)
+def test_the_experiments_that_are_shipped_stay_within_what_their_models_declare(orch, swap):
+    """One second of the spiral under each controller, at the step of the most demanding one."""
+    options = ("--swap", f"controller={swap}", "--set", "master.stop_time=1", "--set", "master.step=5e-5")
+    result = orch("run", EXPERIMENTS / "spiral_pid.toml", *options, "--json").json
+    assert result["warnings"] == []
+
+
+def test_a_desired_pitch_in_degrees_is_a_warning_wherever_it_comes_from(warnings, fmus, turning):
+    """30, from an FMU that gives no fitting unit, is no pitch in rad."""
+    spike = {"fmu": str(fmus["spike"]), "parameters": {"height": 30.0, "at": 0.5, "until": 0.5}}
+    table = turning(0.0)
+    table["components"]["spike"] = spike
+    del table["connections"]["controller.eta_d"]
+    rest = {f"controller.eta_d.{axis}": f"reference.eta_d.{axis}" for axis in ("x", "y", "z", "phi", "psi")}
+    pitch = {"controller.eta_d.theta": {"from": "spike.y.x", "unit_check": False}}
+    kinds = dict(warnings(merged(table, {"connections": table["connections"] | rest | pitch})))
+    assert kinds["limit"].startswith(
+        "controller.eta_d.theta, driven by spike.y.x, is 30 rad at t = 0.5 s, above 1.48353"
+    )

@@ -18,7 +18,7 @@ class FTSOSMC(ModelBasedController):
 
     w = State(Signal(ETA.axes, linear_and_angular("m/s2", "rad/s2"), "integral part of the reaching law"))
     lambda_ = Parameter(no_pitch(0.8), "1/s", "slope of the surface (Table 5.8: lambda)", ETA.axes)
-    b = Parameter(0.7, "1", "exponent (Table 5.8)")
+    b = Parameter(0.7, "1", "exponent (Table 5.8)", limits=(0.5, 1.0))
     k_1 = Parameter(no_pitch(30.0), "1/s", "gain of |s|^b (Table 5.8)", ETA.axes)
     k_2 = Parameter(no_pitch(20.0), "1/s2", "gain of |s|^(2b-1) in the integral (Table 5.8)", ETA.axes)
     k_3 = Parameter(no_pitch(15.0), "1/s2", "gain of s in the integral (Table 5.8)", ETA.axes)

@@ -4,7 +4,7 @@ import casadi as ca
 from uuv import ETA, ETA_D_DOT, Parameter, Signal, State
 from uuv.controller import Controller, no_pitch
 from uuv.kinematics import jacobian
-from uuv.signals import FORCE_PER_RATE, linear_and_angular
+from uuv.signals import FORCE_PER_RATE, POSITIVE, linear_and_angular
 from uuv.tbg import convergence_gain
 
 
@@ -32,8 +32,8 @@ class MFSOSMC(Controller):
     kappa = Parameter(5.0, "1/s", "decay of s_d (Table 5.1)")
     alpha_0 = Parameter(1.01, "1", "gain of the time base (Table 5.1)")
     alpha_c = Parameter(25.0, "1/s", "gain after the time base (Table 5.1)")
-    delta = Parameter(0.001, "1", "keeps alpha finite at t_b (Table 5.1)")
-    t_b = Parameter(5.0, "s", "time base: when the errors have converged")
+    delta = Parameter(0.001, "1", "keeps alpha finite at t_b (Table 5.1)", limits=POSITIVE)
+    t_b = Parameter(5.0, "s", "time base: when the errors have converged", limits=POSITIVE)
     semi_implicit = Parameter(True, "1", "advance the integral before it is used; false: after")
 
     def _s(self, alpha):

@@ -4,6 +4,7 @@ import casadi as ca
 from uuv import ETA, Parameter, Signal, State
 from uuv.controller import ModelBasedController, no_pitch
 from uuv.kinematics import jacobian
+from uuv.signals import POSITIVE
 
 CONTROLLED = ca.DM(no_pitch(1.0))
 
@@ -25,13 +26,13 @@ class NSTSMC(ModelBasedController):
     L = State(Signal(("1", "2", "3"), "1", "adaptive bound of the disturbance"))
     K_m = State(Signal((), "1", "forgetting of the adaptation"))
     beta = Parameter(0.5, "1/s", "gain of the terminal term (Table 5.8)")
-    eps = Parameter(0.01, "1", "half width of the smooth part (Table 5.8: epsilon_1)")
+    eps = Parameter(0.01, "1", "half width of the smooth part (Table 5.8: epsilon_1)", limits=POSITIVE)
     eps_0 = Parameter(2.0, "1", "width of the adaptive term (Table 5.8)")
     gamma = Parameter(2 / 3, "1", "exponent of the reaching law (Table 5.8)")
     alpha_1 = Parameter((5.0, 5.0, 5.0, 30.0, 0.0, 30.0), "1/s", "linear reaching gain (Table 5.8)", ETA.axes)
     alpha_2 = Parameter((5.0, 5.0, 5.0, 30.0, 0.0, 30.0), "1/s", "power reaching gain (Table 5.8)", ETA.axes)
-    lambda_m = Parameter(0.5, "s", "time constant of L (Table 5.8)")
-    lambda_p = Parameter(0.5, "s", "time constant of K_m (Table 5.8)")
+    lambda_m = Parameter(0.5, "s", "time constant of L (Table 5.8)", limits=POSITIVE)
+    lambda_p = Parameter(0.5, "s", "time constant of K_m (Table 5.8)", limits=POSITIVE)
     L_0 = Parameter((2.5, 0.5, 0.5), "1", "L at the start (Table 5.8)")
     K_m0 = Parameter(0.1, "1", "K_m at the start, diagonal (Table 5.8)")
     clamp = Parameter(6.0, "1", "largest |e_1| in F, against overflow of cosh; our choice")

@@ -14,7 +14,7 @@ class GrippingReference(Model):
     """
 
     eta_d, eta_d_dot, eta_d_ddot = Output(ETA_D), Output(ETA_D_DOT), Output(ETA_D_DDOT)
-    side = Parameter(1.0, "1", "+1: the vehicle on the object's +y side, -1: the one opposite")
+    side = Parameter(1.0, "1", "+1: the vehicle on the object's +y side, -1: the one opposite", limits=(-1.0, 1.0))
     grip = Parameter((1.5, 3.5, 3.0), "m", "where the object lies", V_C.axes)
     release = Parameter((4.5, 1.5, 3.0), "m", "where it is released", V_C.axes)
     final = Parameter((0.0, 0.0, 0.0), "m", "where the vehicle ends; (6, 6, 0) for the one opposite", V_C.axes)

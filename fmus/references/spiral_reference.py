@@ -2,6 +2,7 @@
 
 import casadi as ca
 from uuv import ETA_D, ETA_D_DDOT, ETA_D_DOT, Model, Output, Parameter
+from uuv.signals import TURN_A_SECOND
 
 
 class SpiralReference(Model):
@@ -14,7 +15,7 @@ class SpiralReference(Model):
 
     eta_d, eta_d_dot, eta_d_ddot = Output(ETA_D), Output(ETA_D_DOT), Output(ETA_D_DDOT)
     R = Parameter(1.0, "m", "radius")
-    omega = Parameter(0.5235987755982988, "rad/s", "angular velocity: pi/6")
+    omega = Parameter(0.5235987755982988, "rad/s", "angular velocity: pi/6", limits=TURN_A_SECOND)
     z_dot = Parameter(1 / 3, "m/s", "rate of descent: 10 m in 30 s")
 
     def step(self, t, h):

@@ -10,6 +10,12 @@ import math
 
 from .modelling.declare import Signal
 
+# What numbers may be; a run warns where they leave it.
+POSITIVE = (1e-9, math.inf)  # a divisor
+NOT_NEGATIVE = (0.0, math.inf)
+NOT_POSITIVE = (-math.inf, 0.0)
+HALF_TURN = (-math.pi, math.pi)
+TURN_A_SECOND = (-2 * math.pi, 2 * math.pi)  # rad/s; these vehicles turn at a tenth of it, 7 or more are degrees
 LARGEST_PITCH = math.radians(85.0)
 FASTEST_CURRENT = 10.0  # m/s; the strongest tidal streams run at about 8
 
@@ -25,7 +31,7 @@ def linear_and_angular(linear: str, angular: str) -> tuple[str, ...]:
 UPRIGHT = {"theta": (-LARGEST_PITCH, LARGEST_PITCH)}
 
 ETA = Signal(POSE, linear_and_angular("m", "rad"), "position in NED and zyx Euler angles", UPRIGHT)
-ETA_D = Signal(POSE, ETA.units, "desired position in NED and zyx Euler angles")
+ETA_D = Signal(POSE, ETA.units, "desired position in NED and zyx Euler angles", UPRIGHT | {"phi": HALF_TURN})
 ETA_D_DOT = Signal(POSE, linear_and_angular("m/s", "rad/s"), "desired velocity in NED and Euler rates")
 ETA_D_DDOT = Signal(POSE, linear_and_angular("m/s2", "rad/s2"), "desired acceleration in NED and of the Euler angles")
 NU = Signal(("u", "v", "w", "p", "q", "r"), linear_and_angular("m/s", "rad/s"), "velocity in BODY")

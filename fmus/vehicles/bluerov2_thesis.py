@@ -8,7 +8,7 @@ from uuv import ETA, NU, SPECIFIC_FORCE, TAU, V_C, Calculated, Input, Model, Out
 from uuv.bluerov2 import BlueROV2Body, BlueROV2Thrusters, G
 from uuv.dynamics import coriolis, damping, mass, pinv_rows, restoring, rk4
 from uuv.kinematics import jacobian, rotation
-from uuv.signals import UPRIGHT
+from uuv.signals import HALF_TURN, TURN_A_SECOND, UPRIGHT
 from uuv.thrusters import thruster_matrix
 
 SUBMERGED = {
@@ -33,8 +33,14 @@ class BlueROV2Thesis(BlueROV2Body, BlueROV2Thrusters, Model):
     tau = Output(TAU)
     specific_force = Output(SPECIFIC_FORCE)
     # The spiral's start: the printed depth of 2 m contradicts the tables.
-    eta_0 = Parameter((2.0, -1.0, 1.0, 0.0, 0.0, 0.0), ETA.units, "initial " + ETA.meaning, ETA.axes)
-    nu_0 = Parameter(0.0, NU.units, "initial " + NU.meaning, NU.axes)
+    eta_0 = Parameter(
+        (2.0, -1.0, 1.0, 0.0, 0.0, 0.0),
+        ETA.units,
+        "initial " + ETA.meaning,
+        ETA.axes,
+        limits=UPRIGHT | SUBMERGED | {"phi": HALF_TURN},
+    )
+    nu_0 = Parameter(0.0, NU.units, "initial " + NU.meaning, NU.axes, limits=dict.fromkeys("pqr", TURN_A_SECOND))
     M_inv = Calculated((6, 6), "1", "Moore-Penrose inverse of the mass matrix M, in SI units")
 
     def calculate(self):

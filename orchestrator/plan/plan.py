@@ -16,6 +16,7 @@ from ..fmu.builtin import DEAF
 from ..fmu.fmu import Fmu
 from ..fmu.variables import ANGLE, NUMBERS, Variable
 from ..names import ETA_AXES, NU_AXES, matches
+from ..warning import Kind, Warned
 
 
 class Origin(Protocol):
@@ -113,7 +114,7 @@ class Plan:
     origin: Origin | None = None  # where it goes on from; None: from the beginning
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[Warned]:
         """Sentences on what goes against an FMU's min, max or internal step, and on angles that look like degrees."""
         limits = [
             f"{component.name}: {name} = {value} is {side} {limit:g}, the {which} that its FMU declares"
@@ -137,7 +138,7 @@ class Plan:
             for step, inner in [(component.period * self.experiment.master.step, component.fmu.internal_step)]
             if inner and abs(step / inner - max(1, round(step / inner))) > 1e-6
         ]
-        return [*limits, *degrees, *steps]
+        return [*(Warned(text, Kind.LIMIT) for text in (*limits, *degrees)), *map(Warned, steps)]
 
     @property
     def cautions(self) -> list[str]:

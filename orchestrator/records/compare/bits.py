@@ -82,8 +82,9 @@ def _ends(then: Run, now: Run) -> list[str]:
     """Sentences on attributes that say how the runs ended, and differ."""
     before, after = then.attributes, now.attributes
     if "warning_kinds" not in before:  # made before loops were judged as they are now
-        for attributes in (before, after):
-            attributes["warnings"] = [text for text in warning.read(attributes) if text.kind == Kind.OTHER]
+        texts = [text for text in warning.read(before) if text.kind == Kind.OTHER]
+        before["warnings"] = texts
+        after["warnings"] = [text for text in warning.read(after) if text.kind == Kind.OTHER or text in texts]
     comparable = [name for name in ENDS if name != "metrics" or then.metrics_of == now.metrics_of]
     return [
         f"{name}: {_short(before.get(name))} then, {_short(after.get(name))} now"
