@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
 import orchestrator
@@ -301,6 +302,26 @@ def test_ctrl_c_during_slow_steps_waits_for_one_of_them_only(start, models, tmp_
     process = start(single("moody", stop_time=100.0, pause=0.3))
     poll(lambda: list(tmp_path.glob("results/*/*.h5")), process)
     interrupt(process)
+
+
+def test_the_metrics_of_an_interrupted_run_are_those_of_the_steps_that_it_did(start, orch, models, tmp_path):
+    table = single("waves", stop_time=1000.0, step=1e-3)
+    metrics = {
+        "rms": {"of": "rms", "signal": "one.ramp"},
+        "last": {"of": "final", "signal": "one.ramp"},
+        "never": {"of": "rms", "signal": "one.ramp", "after": 900.0},
+    }
+    process = start(merged(table, {"record.every": 1e-3, "metrics": metrics}))
+    poll(lambda: rows_on_disk(tmp_path), process)
+    interrupt(process)
+    (path,) = tmp_path.glob("results/*/*.h5")
+    with orchestrator.open_run(path) as record:
+        ramp, end = record["one.ramp"], record.time[-1]
+        assert record.attributes["interrupted_at"] == record.ended_at == end
+        assert record.metrics["rms"] == pytest.approx(np.sqrt((ramp**2).mean()), rel=1e-12)  # sums in another order
+        assert record.metrics["last"] == ramp[-1]
+        assert record.unsampled == {"never"}
+    assert f"  metrics, of the time until {end:.10g} s only" in orch("show", path).out
 
 
 @pytest.mark.parametrize("wait", [0.0, 0.05, 0.1, 0.2])

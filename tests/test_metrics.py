@@ -1,8 +1,11 @@
 """Metrics against closed forms."""
 
+import csv
 import math
 import os
+import re
 
+import h5py
 import numpy as np
 import pytest
 
@@ -331,3 +334,78 @@ def test_metrics_take_integers_and_booleans(orch, write, probe):
     specs = {"n": {"of": "final", "signal": "one.steps"}, "half": {"of": "rms", "signal": "one.odd"}}
     answer = orch("run", write(merged(single(probe, stop_time=0.03), {"metrics": specs})), "--json")
     assert answer.json["metrics"] == {"n": 9.0, "half": pytest.approx(math.sqrt(0.5))}
+
+
+# --- Runs that end early ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trouble(models):
+    """trouble(kind, stop_time): y is the time.  kind: 0 to the end, 1 it fails at 0.02 s, 4 it ends the run there."""
+
+    def make(kind, stop_time=0.05):
+        table = merged(single("trouble", stop_time, kind=kind), {"components.one.start": {"u": 0.0}})
+        specs = {
+            "rms": {"of": "rms", "signal": "one.y"},
+            "late": {"of": "rms", "signal": "one.y", "after": 0.03},
+            "sparse": {"of": "iae", "signal": "one.y", "every": 0.02},
+        }
+        return {**table, "metrics": specs}
+
+    return make
+
+
+@pytest.mark.parametrize("loop", ["compiled", "python"])
+def test_the_metrics_of_a_failed_run_are_those_of_a_run_until_it_failed(orch, write, trouble, tmp_path, loop):
+    environment = {**os.environ, "ORCH_LOOP": loop}
+    failed = orch("run", write(trouble(1)), "--json", env=environment)
+    assert (failed.code, failed.json["status"]) == (3, "failed")
+    short = orch("run", write(trouble(0, stop_time=0.02), "short.toml"), "--json", env=environment).json["metrics"]
+    assert failed.json["metrics"] == short
+    assert short["rms"] == pytest.approx(math.sqrt((0.01**2 + 0.02**2) / 3), rel=1e-12)
+    assert short["sparse"] == pytest.approx(0.02 * 0.02 / 2, rel=1e-12)
+    with orchestrator.open_run(tmp_path / failed.json["file"]) as run:
+        assert run.metrics["rms"] == short["rms"]
+        assert (run.ended_at, run.unsampled) == (0.02, {"late"})
+    ended = orch("run", write(trouble(4)))  # by its FMU
+    for answer in (orch("show", failed.json["file"]), ended, orch("show", "last")):
+        assert "  metrics, of the time until 0.02 s only" in answer.out
+        assert re.search(r"late +no sample in its window", answer.out)
+
+
+def test_the_metrics_of_a_failed_run_win_no_comparison(orch, write, trouble, tmp_path):
+    """It has the smaller rms, as it had less time for it."""
+    short = orch("run", write(trouble(1)), "--json").json
+    whole = orch("run", write(trouble(0)), "--json").json
+    assert short["metrics"]["rms"] < whole["metrics"]["rms"]
+    report = orch("compare", short["file"], whole["file"], "--json").json
+    (rms,) = (metric for metric in report["metrics"] if metric["name"] == "rms")
+    assert (rms["best"], rms["marked"]) == ([whole["run_id"]], [short["run_id"]])
+    assert report["runs"][0]["marks"] == ["failed"]
+    chosen = orch("list", "--where", "metrics.rms < 1.0", "--json").json
+    assert [run["run_id"] for run in chosen] == [whole["run_id"]]
+    html = orch("report", short["file"], "-o", "page.html")
+    assert html.code == 0, html.err
+    assert "value until 0.02 s" in (tmp_path / "page.html").read_text()
+
+
+def test_a_sweep_has_no_numbers_of_runs_that_failed(orch, write, trouble, tmp_path):
+    table = {**trouble(0), "sweep": {"vary": {"components.one.parameters.kind": [0, 1]}}}
+    answer = orch("sweep", write(table), "--json", "--workers", "1")
+    assert (answer.json["completed"], answer.json["failed"]) == (1, 1), answer.err
+    (path,) = tmp_path.glob("results/*/table.csv")
+    completed, failed = csv.DictReader(path.read_text().splitlines())
+    assert (completed["status"], failed["status"]) == ("completed", "failed")
+    assert completed["rms"]
+    assert not failed["rms"]
+
+
+def test_repeating_a_failed_run_of_a_record_without_metrics_finds_no_difference(orch, write, trouble, tmp_path):
+    answer = orch("run", write(trouble(1)), "--json").json
+    with h5py.File(tmp_path / answer["file"], "r+") as file:  # as earlier versions wrote it
+        file.attrs.update(metrics="{}", metrics_never="[]")
+    verified = orch("rerun", answer["file"], "--verify")
+    assert "metrics" not in verified.out + verified.err
+    with h5py.File(tmp_path / answer["file"], "r+") as file:
+        file.attrs.update(metrics='{"rms": 1.0}')
+    assert "metrics: {'rms': 1.0} then" in orch("rerun", answer["file"], "--verify").out

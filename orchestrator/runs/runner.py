@@ -45,6 +45,7 @@ class RunResult:
     metrics: Mapping[str, float]
     warnings: Sequence[str] = ()
     error: str = ""
+    ended_at: float  # s, until when its metrics are
     stopped_at: float | None = None
     repeated: bool = True  # False: the record existed already
     added: Sequence[str] = ()  # metrics for which a completed record was repeated, as it did not have them
@@ -137,6 +138,7 @@ def execute(
         metrics=record.metrics,
         warnings=outcome.warnings,
         error=outcome.error,
+        ended_at=plan.experiment.grid.time(outcome.ticks),
         stopped_at=outcome.stopped_at,
         added=added,
         checkpoints=saver.saved,
@@ -177,6 +179,7 @@ def _recall(run_id: str, path: Path, plan: Plan) -> RunResult:
             metrics={name: stored[name] for name in plan.experiment.metrics},
             warnings=record.warnings,
             error=attributes["error"],
+            ended_at=record.ended_at,
             stopped_at=attributes.get("stopped_at"),
             repeated=False,
             timing=attributes["timing"],

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # `orch check` and `orch fmus` need no h5py
 
 
 SHOWN_INPUTS = 8
+ENDS = ("failed_at", "interrupted_at", "stopped_at")
 
 
 def result(result: RunResult, plan: Plan) -> str:
@@ -47,10 +48,11 @@ def result(result: RunResult, plan: Plan) -> str:
     lines += [f"  from              {plan.origin}"] if plan.origin else []
     lines += [f"  checkpoint        {short(path)}" for path in result.checkpoints]
     if result.metrics:
-        last = None if result.stopped_at is None else round(result.stopped_at / plan.experiment.master.step)
+        last = round(result.ended_at / plan.experiment.master.step)
         unsampled = {name for name in result.metrics if not plan.has_sample(name, last)}
         shown = _metrics(result.metrics, plan.experiment.metrics, plan.units, unsampled)
-        lines += ["  metrics", *table(shown, 4, title=False)]
+        lines += [_heading(result.ended_at, result.ended_at < plan.experiment.master.stop_time)]
+        lines += table(shown, 4, title=False)
     return "\n".join(lines)
 
 
@@ -59,7 +61,7 @@ def record(run: Run) -> str:
     facts = run.attributes
     rows = [("file", short(run.path)), ("title", facts["title"]), ("created", facts["created"])]
     rows += [(name.replace("_", " "), facts[name]) for name in ("command", "git_commit", "platform") if facts[name]]
-    rows += [(name.replace("_", " "), f"{facts[name]:.10g} s") for name in ("failed_at", "stopped_at") if name in facts]
+    rows += [(name.replace("_", " "), f"{facts[name]:.10g} s") for name in ENDS if name in facts]
     rows += [
         ("from", _origin(facts)),
         ("error", facts["error"]),
@@ -80,11 +82,16 @@ def record(run: Run) -> str:
     )
     if run.metrics:
         shown = _metrics(run.metrics, facts["experiment_resolved"]["metrics"], run.metric_units, run.unsampled)
-        lines += ["", "  metrics", *table(shown, 4, title=False)]
+        lines += ["", _heading(run.ended_at, run.ended_early), *table(shown, 4, title=False)]
     if facts["timing"]:
         lines += ["", *_timing(facts["timing"])]
     lines += [printed(warning) for warning in run.warnings]
     return "\n".join(lines)
+
+
+def _heading(ended_at: float, early: bool) -> str:
+    """Of the metrics, which are of less than the experiment asks for where the run ended early."""
+    return f"  metrics, of the time until {ended_at:.10g} s only" if early else "  metrics"
 
 
 def _origin(facts: Mapping[str, Any]) -> str:

@@ -85,7 +85,9 @@ def _ends(then: Run, now: Run) -> list[str]:
         texts = [text for text in warning.read(before) if text.kind == Kind.OTHER]
         before["warnings"] = texts
         after["warnings"] = [text for text in warning.read(after) if text.kind == Kind.OTHER or text in texts]
-    comparable = [name for name in ENDS if name != "metrics" or then.metrics_of == now.metrics_of]
+    has_metrics = before["metrics"] or then.status == "completed"  # earlier ones kept none of a run that failed
+    alike = has_metrics and then.metrics_of == now.metrics_of
+    comparable = [name for name in ENDS if name != "metrics" or alike]
     return [
         f"{name}: {_short(before.get(name))} then, {_short(after.get(name))} now"
         for name in differing([{name: of.get(name) for name in comparable} for of in (before, after)])

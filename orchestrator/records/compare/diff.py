@@ -11,7 +11,7 @@ from ..file.run import Run
 from .settings import Setting, differing, flat, settings
 
 MADE = ("versions", "git_commit", "platform")  # beside the settings
-ENDED = ("status", "error", "stopped_at", "failed_at")
+ENDED = ("status", "error", "stopped_at", "failed_at", "interrupted_at")
 
 
 @dataclass(frozen=True, kw_only=True)

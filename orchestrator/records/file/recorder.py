@@ -134,8 +134,7 @@ class Recorder(Observer):
         """Write the rows that wait, how the run ended, and its metrics; the status is written last."""
         self.flush()
         self._conclude()
-        if self.outcome.status == "completed":
-            self.metrics = self.outcome.metrics
+        self.metrics = self.outcome.metrics
         self._close()
 
     def give_up(self, error: StoreError) -> None:
@@ -176,6 +175,8 @@ class Recorder(Observer):
         for name in ("failed_at", "stopped_at"):
             if getattr(outcome, name) is not None:
                 new[name] = getattr(outcome, name)
+        if outcome.status == "interrupted":
+            new["interrupted_at"] = grid.time(outcome.ticks)
         if outcome.last_inputs:
             new["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
         heard = sum(16 + values.nbytes for values_of in outcome.heard.values() for _, values in values_of)

@@ -193,12 +193,23 @@ class Run:
         return metrics_in(self.attributes)
 
     @property
+    def ended_at(self) -> float:
+        """Until when its metrics are [s]: the stop time, unless it failed, was interrupted, or an FMU ended it."""
+        facts = self.attributes
+        early = [facts[name] for name in ("stopped_at", "failed_at", "interrupted_at") if name in facts]
+        return float(early[0] if early else self.resolved["master"]["stop_time"])
+
+    @property
+    def ended_early(self) -> bool:
+        """Whether its metrics are of less than the experiment asks for."""
+        return self.ended_at < float(self.resolved["master"]["stop_time"])
+
+    @property
     def unsampled(self) -> set[str]:
         """The metrics into whose windows no step of the run falls."""
         facts = self.attributes
         grid, specs = TimeGrid(facts["step"]), self.resolved.get("metrics", {})
-        end = facts.get("stopped_at", facts.get("failed_at", self.resolved["master"]["stop_time"])) if specs else 0.0
-        first, last = (round(time / facts["step"]) for time in (facts.get("from_time", 0.0), end))
+        first, last = (round(time / facts["step"]) for time in (facts.get("from_time", 0.0), self.ended_at))
         return {name for name in self.metrics if name in specs and not grid.has_sample(specs[name], first, last)}
 
     @property

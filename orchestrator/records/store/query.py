@@ -174,11 +174,16 @@ def _token(source: str, column: int) -> str:
 
 
 def lookup(run: Facts, name: str) -> Any:
-    """The value of a dotted name, None where there is none; keys may themselves have dots, as in parameters.K_p.z."""
+    """The value of a dotted name, None where there is none; keys may themselves have dots, as in parameters.K_p.z.
+
+    A run that did not complete has no metrics here: theirs are of a part of the time, and a short run is no good one.
+    """
     if name in run:
         return run[name]
     for i in range(len(name) - 1, 0, -1):
         below = run.get(name[:i]) if name[i] == "." else None
+        if name[:i] == "metrics" and run.get("status", "completed") != "completed":
+            continue
         if isinstance(below, Mapping) and (value := lookup(below, name[i + 1 :])) is not None:
             return value
     return None

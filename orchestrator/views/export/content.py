@@ -26,6 +26,7 @@ FACTS = (
     "status",
     "error",
     "failed_at",
+    "interrupted_at",
     "stopped_at",
     "algorithm",
     "step",

@@ -79,7 +79,9 @@ def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
         unit = metrics.unit_of(specs[name], units)
         shown = [v.get(name, "") for v in values]
         rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[name])])
-    heads = ["metric", *(labels if len(runs) > 1 else ["value"]), "unit", "of"]
+    until = [f" until {run.ended_at:.6g} s" if run.ended_early and run.metrics else "" for run in runs]
+    values_of = [f"{label}{end}" for label, end in zip(labels if len(runs) > 1 else ["value"], until, strict=True)]
+    heads = ["metric", *values_of, "unit", "of"]
     return {"heads": heads, "rows": rows, "words": (0, len(heads) - 2, len(heads) - 1)}
 
 

@@ -26,8 +26,8 @@ def text(points: Sequence[DesignPoint], results: Mapping[int, PointResult], metr
     """The table as CSV.
 
     Numbers read back to the same bits.  inf: what the metric is the time of never happens; nan: it has no value; an
-    empty cell: it has no sample, or the run has no metrics.  stopped_at: when an FMU ended the run before its stop time
-    [s]; warnings: their kinds, "other" of those that have none.
+    empty cell: it has no sample, or the run failed.  stopped_at: when an FMU ended the run before its stop time [s];
+    warnings: their kinds, "other" of those that have none.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -112,7 +112,7 @@ def _run(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage, i
         run_id,
         outcome.status,
         outcome.error,
-        _sampled(plan, record.metrics, outcome.ticks),
+        _sampled(plan, record.metrics, outcome.ticks) if outcome.status == COMPLETED else {},
         outcome.stopped_at if outcome.ticks < plan.steps else None,
         kinds_of(outcome.warnings),
     )
