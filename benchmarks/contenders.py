@@ -38,32 +38,49 @@ class Unusable(Exception):
 @dataclass(frozen=True)
 class Contender:
     """master: orch, limit or one of peers.py; packaging: of the FMUs, native or python; loop: of orch, compiled or
-    python; share: of the steps asked for, which slower ones need less of."""
+    python; share: of the steps asked for, which slower ones need less of; without: what orch leaves out, of
+    LEFT_OUT."""
 
     master: str
     packaging: str
     loop: str = ""
     share: float = 0.1
+    without: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         if self.master == "limit":
             return "the same C in one function"
-        return {"compiled": "orch", "python": "orch, ORCH_LOOP=python", "": self.master}[self.loop]
+        name = {"compiled": "orch", "python": "orch, ORCH_LOOP=python", "": self.master}[self.loop]
+        return ", ".join([name, *(f"no {what}" for what in self.without)])
 
     @property
     def fmus(self) -> str:
         return "none" if self.master == "limit" else self.packaging
 
 
+LEFT_OUT = {"metrics": "metrics={}", "envelope": "record.envelope=false"}
+
 LIMIT = Contender("limit", "native", share=1)
 ORCH = Contender("orch", "native", "compiled", share=1)
+ORCH_UNMEASURED = Contender("orch", "native", "compiled", share=1, without=("metrics",))
+ORCH_BARE = Contender("orch", "native", "compiled", share=1, without=("metrics", "envelope"))
 ORCH_INTERPRETED = Contender("orch", "native", "python")
 ORCH_PYTHON = Contender("orch", "python", "compiled")
 ORCH_PYTHON_INTERPRETED = Contender("orch", "python", "python")
 PEERS = [Contender(master, "native") for master in ("libcosim", "ecos", "fmpy")]
 PEERS_PYTHON = [Contender(master, "python", share=0.025) for master in ("libcosim", "ecos", "fmpy")]
-ALL = [LIMIT, ORCH, ORCH_INTERPRETED, *PEERS, ORCH_PYTHON, ORCH_PYTHON_INTERPRETED, *PEERS_PYTHON]
+ALL = [
+    LIMIT,
+    ORCH,
+    ORCH_UNMEASURED,
+    ORCH_BARE,
+    ORCH_INTERPRETED,
+    *PEERS,
+    ORCH_PYTHON,
+    ORCH_PYTHON_INTERPRETED,
+    *PEERS_PYTHON,
+]
 
 
 @dataclass(frozen=True)
@@ -132,6 +149,8 @@ class Bench:
         command += ["--packaging", contender.packaging, "--output", str(record)]
         for key, value in (("step", task.h), ("stop_time", task.time(task.steps)), ("algorithm", algorithm)):
             command += ["--set", f"master.{key}={json.dumps(value)}"]
+        for what in contender.without:
+            command += ["--set", LEFT_OUT[what]]
         whole, _ = _timed(contender, command)
         with Run(record) as run:
             timing = run.attributes["timing"]

@@ -132,6 +132,8 @@ def _ratios(repeats: Repeats) -> str:
 
     native, python = (_best(repeats, peers) for peers in (contenders.PEERS, contenders.PEERS_PYTHON))
     compare(contenders.ORCH, contenders.LIMIT, "{}, native FMUs, to the same C in one function")
+    compare(contenders.ORCH, contenders.ORCH_UNMEASURED, "{} with the metrics of the experiment to without any")
+    compare(contenders.ORCH_UNMEASURED, contenders.ORCH_BARE, "{}, with the envelope to without it")
     compare(native, contenders.ORCH, "the best other master, {}, to orch, native FMUs")
     compare(native, contenders.ORCH_INTERPRETED, "the same to orch without its compiled loop")
     compare(python, contenders.ORCH_PYTHON, "the best other master, {}, to orch, Python FMUs")

@@ -15,7 +15,6 @@ import h5py
 
 from ..errors import RunError, StoreError
 from ..plan.plan import Plan
-from ..records.compare.bits import compare
 from ..records.file.access import UNREADABLE, being_written, is_taken
 from ..records.file.format import ID_LENGTH
 from ..records.file.recorder import writing
@@ -197,6 +196,8 @@ def _not_stored(path: Path, plan: Plan) -> list[str]:
 
 def _refuse_other_rows(earlier: Path, repeated: Path) -> None:
     """Raises StoreError, and leaves both records, where they do not have the same rows."""
+    from ..records.compare.bits import compare  # most runs are not repeated
+
     with Run(earlier) as then, Run(repeated) as now:
         if difference := compare(then, now, ends=False):
             raise StoreError(

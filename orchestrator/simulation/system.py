@@ -22,7 +22,6 @@ from ..fmu.fmu import Fmu, unpack
 from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 from ..instances import instantiate
 from ..instances.instance import Instance
-from ..instances.isolated import IsolatedInstance
 from ..instances.library import Library
 from ..instances.live import LiveInstance
 from ..instances.scratch import Scratch
@@ -141,6 +140,8 @@ class System:
     def _instance(self, component: Component, folder: Path, libraries: dict[Path, Library]) -> Instance:
         path = component.fmu.path
         if component.isolated or _clash(component.fmu):
+            from ..instances.isolated import IsolatedInstance  # most runs need no process
+
             isolated = sum(isinstance(stepper.instance, IsolatedInstance) for stepper in self.steppers) + 1
             spin = isolated < len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else False
             return IsolatedInstance(component.name, component.fmu, folder, component.timeout, spin, self._interrupted)
