@@ -59,3 +59,30 @@ def test_isolation_is_measured(tmp_path):
     command = [sys.executable, BENCHMARKS / "isolation.py", "1"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert [line.partition(":")[0] for line in done.stdout.splitlines()] == [f"{n} isolated" for n in range(1, 5)]
+
+
+@pytest.mark.slow
+def test_the_detector_judges_a_fixed_set_of_runs_as_they_are(tmp_path):
+    """Six wrong and four right ones, with and without noise, currents and periods of their own."""
+    command = [
+        sys.executable,
+        BENCHMARKS / "detector.py",
+        "--runs",
+        "10",
+        "--seed",
+        "7",
+        "--json",
+        tmp_path / "runs.json",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "| wrong: an rms changes by more than 20 % at half the step | 6 | 6 | 0 |" in done.stdout
+    assert "| right: by no more than 20 % | 4 | 0 | 4 |" in done.stdout
+    assert "misses: 0 of 6, " in done.stdout
+    assert "false alarms: 0 of 4, " in done.stdout
+    assert "of 4 with periods of their own, the cause is named right in 4" in done.stdout
+    runs = json.loads((tmp_path / "runs.json").read_text())
+    assert {word for run in runs for word in ("noise", "current", "jacobi") if word in run["draw"]} == {
+        "noise",
+        "current",
+        "jacobi",
+    }

@@ -287,6 +287,32 @@ def test_what_is_steered_from_outside_cannot_be_compared_and_says_so_only_where_
     assert "comparison" not in record.attributes["timing"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("controller", "algorithm"),
+    [
+        *(
+            (c, a)
+            for c in ("feedback_linearization", "lyapunov", "nstsmc", "ftsosmc")
+            for a in ("gauss-seidel", "jacobi")
+        ),
+        ("mfsosmc", "gauss-seidel"),  # under Jacobi, the sensor delays its loop beyond its limit, noise or not
+    ],
+)
+def test_no_controller_s_loop_is_called_unstable_for_the_noise_that_it_reads(
+    models, spiral, write, recorded, controller, algorithm
+):
+    step = 1e-4 if controller == "mfsosmc" else STEP  # of each, well within its limit
+    table = merged(spiral, {"master.stop_time": 2000 * step, "master.step": step, "metrics": {}})
+    table["master"]["algorithm"] = algorithm
+    table["components"]["controller"]["fmu"] = controller
+    sensor = {"fmu": "noisy_sensor", "parameters": {"sigma_eta": 2e-3, "sigma_nu": 2e-3, "seed": 5}}
+    table["components"] = {"sensor": sensor, **table["components"]}
+    for name in ("eta", "nu"):
+        table["connections"] |= {f"sensor.{name}": f"vehicle.{name}", f"controller.{name}": f"sensor.{name}_m"}
+    assert recorded(table).warnings == []
+
+
 # --- Where runs are made ----------------------------------------------------------------------------------------------
 
 
