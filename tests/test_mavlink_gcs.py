@@ -9,6 +9,7 @@ import sys
 import sysconfig
 import threading
 import time
+import tomllib
 
 import h5py
 import numpy as np
@@ -70,11 +71,11 @@ sys.stdout.flush()
 """
 
 
-def start(folder, port, stop_time, *options):
+def start(folder, port, stop_time, *options, experiment=GRIPPING):
     command = [
         ORCH,
         "run",
-        GRIPPING,
+        str(experiment),
         "--realtime",
         "--mavlink",
         f"udpout:127.0.0.1:{port}",
@@ -90,9 +91,24 @@ def start(folder, port, stop_time, *options):
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
 
 
+@pytest.fixture
+def steered(write):
+    """The gripping experiment with a pilot in place of each reference."""
+    with open(GRIPPING, "rb") as file:
+        table = tomllib.load(file)
+    table["metrics"] = {}
+    for n in (1, 2):
+        del table["components"][f"reference{n}"]
+        table["components"][f"pilot{n}"] = {"builtin": "mavlink_manual", "step": 0.02}
+        table["connections"][f"pilot{n}.eta"] = f"vehicle{n}.eta"
+        for name in ("eta_d", "eta_d_dot", "eta_d_ddot"):
+            table["connections"][f"controller{n}.{name}"] = f"pilot{n}.{name}"
+    return write(table)
+
+
 @needs_mavproxy
-def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes_modes(shipped, tmp_path):
-    run = start(tmp_path, port := free_port(), 40)
+def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes_modes(shipped, steered, tmp_path):
+    run = start(tmp_path, port := free_port(), 40, experiment=steered)
     proxy = subprocess.Popen(
         [MAVPROXY, "--master", f"udpin:127.0.0.1:{port}"],
         cwd=tmp_path,
@@ -117,8 +133,14 @@ def test_mavproxy_finds_both_vehicles_loads_all_parameters_both_ways_and_changes
 
     wait("Received 333 parameters (ftp)")
     wait("Detected vehicle 2:1")
-    enter("mode POSHOLD")
-    wait("Mode POSHOLD", times=2)  # what the vehicle says, and what its heartbeat says
+    enter("mode MANUAL")
+    wait("Mode MANUAL", times=2)  # what the vehicle says, and what its heartbeat says
+    enter("mode CIRCLE")
+    wait("CIRCLE refused: not simulated")
+    enter("disarm")
+    wait("Disarming motors")
+    enter("arm throttle")
+    wait("Arming motors")
     enter("vehicle 2")
     wait("Received 333 parameters (ftp)", times=2)
     enter("mode ALT_HOLD")

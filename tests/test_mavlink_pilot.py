@@ -5,11 +5,14 @@ first part has the exchanges of the vendor's example scripts (ArduSub's document
 """
 
 import math
+import re
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.quaternion import QuaternionBase
 
@@ -17,6 +20,7 @@ from experiments import merged
 from orchestrator.mavlink.components.manual import MavlinkManual
 from orchestrator.mavlink.vehicle.frame import FACTORS
 from orchestrator.mavlink.vehicle.modes import REFUSED, FlightMode
+from orchestrator.mavlink.vehicle.parameters import EFFECTIVE
 from peers.pilot import fly, fly_with_pymavlink
 from peers.station import to
 
@@ -671,6 +675,30 @@ def test_the_gain_that_a_button_changes_is_the_one_that_is_shown(flight):
     flight(script, 0.2)
 
 
+def test_a_parameter_that_changes_nothing_is_kept_and_announced(flight):
+    def script(station):
+        set_parameter(station, "FS_GCS_ENABLE", 2)
+        assert refused(station, "FS_GCS_ENABLE has no effect here")
+        set_parameter(station, "JS_GAIN_DEFAULT", 0.25)
+        station.send(mavlink.MAVLink_manual_control_message(target=1, x=1000, y=0, z=500, r=0, buttons=0))
+        assert shown(station, "RC_CHANNELS").chan5_raw == 1600
+        fixed = mavlink.MAVLink_param_set_message(
+            **to(), param_id=b"FRAME_CONFIG", param_value=2, param_type=mavlink.MAV_PARAM_TYPE_REAL32
+        )
+        assert station.ask(fixed, "PARAM_VALUE", lambda m: m.param_id == "FRAME_CONFIG").param_value == 1
+        assert refused(station, "FRAME_CONFIG cannot be set to this")
+        assert not any("JS_GAIN" in m.text for m in station.messages if m.get_type() == "STATUSTEXT")
+        yield 0.1
+
+    flight(script, 0.2)
+
+
+def test_docs_name_the_parameters_that_have_an_effect():
+    text = (Path(__file__).parent.parent / "docs" / "mavlink.md").read_text()
+    named = text.partition("with an effect are")[2].partition("; of the others")[0]
+    assert tuple(re.findall(r"`([^`]+)`", named)) == EFFECTIVE
+
+
 # --- What cannot be done --------------------------------------------------------------------------------------------
 
 
@@ -757,6 +785,23 @@ def test_what_a_pilot_did_is_repeated_from_the_record(orch, flight):
     assert set(flown["pilot/mode"]) == {16, 19, 4}
     answer = orch("rerun", "run.h5", "--verify")
     assert answer.code == 0, answer.out + answer.err
+
+
+def test_a_telemetry_log_has_the_modes_and_the_arming_of_the_pilot(orch, flight, tmp_path):
+    def script(station):
+        yield 1.0
+        station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, DISARM)
+        yield 1.0
+        enter(station, FlightMode.MANUAL)
+        yield 1.5
+
+    flight(script, 3.6)
+    assert orch("export", "run.h5", "--format", "tlog", "-o", "run.tlog").code == 0
+    log = mavutil.mavlink_connection(str(tmp_path / "run.tlog"), dialect="ardupilotmega")
+    beats = [log.recv_match(type="HEARTBEAT") for _ in range(4)]
+    armed = [bool(beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) for beat in beats]
+    assert armed == [True, True, False, False]
+    assert [beat.custom_mode for beat in beats] == [16, 16, 16, 19]
 
 
 def test_a_record_that_heard_less_replays_as_it_did(clock):

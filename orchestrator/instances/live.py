@@ -42,12 +42,14 @@ class LiveInstance(BatchedInstance):
             for causality in ("input", "output")
             for place, v in enumerate(v for v in fmu.variables.values() if v.causality == causality)
         }
-        self._gathered: list[tuple[Table, Places]] = []  # buffer, places in the inputs
-        self._given: list[tuple[Table, Places]] = []  # buffer, places in the outputs
+        self._gathered: list[tuple[Table, Places | slice]] = []  # buffer, places in the inputs
+        self._given: list[tuple[Table, Places | slice]] = []  # buffer, places in the outputs
 
     def exchange(self, verb: Verb, kind: str, references: References, buffer: Table) -> Call:
         places = np.array([self._places[r] for r in references.tolist()], dtype=np.intp)
-        (self._gathered if verb == "Set" else self._given).append((buffer, places))
+        first, end = int(places[0]), int(places[0]) + len(places)
+        block = slice(first, end) if np.array_equal(places, np.arange(first, end)) else places  # as fast as a copy
+        (self._gathered if verb == "Set" else self._given).append((buffer, block))
         return self._take if verb == "Set" else self._restart
 
     def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:

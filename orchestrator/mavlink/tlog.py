@@ -17,6 +17,7 @@ from .protocol.dialect import Message
 from .protocol.station import HEARTBEAT_EVERY, HOME_EVERY
 from .protocol.wire import Encoder
 from .vehicle.autopilot import Autopilot
+from .vehicle.modes import FlightMode
 from .vehicle.sample import Sample
 
 if TYPE_CHECKING:
@@ -28,11 +29,21 @@ TOLERANCE = 1e-9  # s, when a time of the record is compared with one of a messa
 
 @dataclass(frozen=True, kw_only=True)
 class LoggedVehicle:
-    """A vehicle over a run.  times: (N,) of its samples [s].  sample: the sample of a row."""
+    """A vehicle over a run.
+
+    times: (N,) of its samples [s].  sample: the sample of a row.  states: N modes, and whether it was armed; (): as the
+    autopilot has it all the time.
+    """
 
     autopilot: Autopilot
     times: Reals
     sample: Callable[[int], Sample]
+    states: Sequence[tuple[FlightMode, bool]] = ()
+
+    def go_to(self, row: int) -> None:
+        """Bring the autopilot to the state of a row."""
+        if self.states:
+            self.autopilot.mode, self.autopilot.armed = self.states[row]
 
 
 def write(vehicles: Sequence[LoggedVehicle], file: BinaryIO) -> None:
@@ -43,6 +54,7 @@ def write(vehicles: Sequence[LoggedVehicle], file: BinaryIO) -> None:
         file.write(struct.pack(">Q", round((EPOCH + t) * 1e6)) + encoders[number].frame(message))
 
     for number, vehicle in enumerate(vehicles):
+        vehicle.go_to(0)
         put(0.0, number, telemetry.heartbeat(vehicle.autopilot))
         for message in telemetry.banner():
             put(0.0, number, message)
@@ -54,6 +66,7 @@ def write(vehicles: Sequence[LoggedVehicle], file: BinaryIO) -> None:
         vehicle = vehicles[number]
         while rows[number] + 1 < len(vehicle.times) and vehicle.times[rows[number] + 1] <= t + TOLERANCE:
             rows[number] += 1
+        vehicle.go_to(rows[number])
         if name == "HEARTBEAT":
             put(t, number, telemetry.heartbeat(vehicle.autopilot))
         elif sent.get((number, name)) != rows[number]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 THRUSTERS = 6
 COLUMNS = [0, 1, 2, 3, 5]  # of FACTORS: MOTIONS
+PASSED = np.ones(1 + len(MOTIONS)).tobytes()  # driven, every motion held: nothing to do, in each of many steps
+NOTHING = np.zeros(0)
 
 
 class MavlinkMotors:
@@ -51,16 +53,18 @@ class MavlinkMotors:
     def start(self, inputs: Reals) -> Reals:
         """Commands (6,).  inputs: (17,) u_c, driven, held, stick."""
         commands, driven, held, stick = inputs[:6], inputs[6], inputs[7:12], inputs[12:17]
+        if inputs[6:12].tobytes() == PASSED:
+            return commands
         if not driven:
             return np.zeros(THRUSTERS)
-        if self._factors is None or held.all():
+        if self._factors is None:
             return commands
         u: Reals = np.clip(self._factors @ np.where(held, self._inverse @ commands, stick), -1.0, 1.0)
         return u
 
     def listen(self, t: float, inputs: Reals) -> Reals:
         """Nothing: the pilot's component hears."""
-        return np.zeros(0)
+        return NOTHING
 
     def step(self, t: float, h: float, inputs: Reals, heard: Reals) -> Reals:
         return self.start(inputs)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from ..vehicle.autopilot import Autopilot
-from ..vehicle.parameters import AutopilotParameter, ParameterType
+from ..vehicle.parameters import AutopilotParameter, ParameterType, has_effect
 from ..vehicle.sample import E7
 from . import steering, telemetry
 from .commands import ACCEPTED, DENIED, FAILED, WARNING, Announce, Command, carry_out, change_mode
@@ -97,10 +97,17 @@ class Conversation:
         parameter = autopilot.parameters.find(request.param_id)
         if parameter is None:
             return
-        if autopilot.parameters.set(request.param_id, request.param_value) and request.param_id.startswith("SR0_"):
-            for name, (stream, _) in telemetry.STREAMED.items():
-                if stream == request.param_id.removeprefix("SR0_"):
-                    channel.reset(name, now)
+        name, before = request.param_id, parameter.value
+        if not autopilot.parameters.set(name, request.param_value):
+            self._refuse(channel, f"{name} cannot be set to this", now)
+        elif name == "JS_GAIN_DEFAULT" and autopilot.control:
+            autopilot.control.gain = parameter.value
+        elif name.startswith("SR0_"):
+            for message, (stream, _) in telemetry.STREAMED.items():
+                if stream == name.removeprefix("SR0_"):
+                    channel.reset(message, now)
+        elif parameter.value != before and not has_effect(name):
+            self._refuse(channel, f"{name} has no effect here", now)
         self._echo(autopilot, parameter_value(autopilot, parameter))
 
     def _ftp(self, channel: VehicleChannel, request: Message, now: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
 import struct
 from collections.abc import Iterator, Mapping
@@ -49,6 +50,21 @@ LONGEST_NAME = 16  # characters
 
 # What ArduSub calls itself and how it is wired is not for a ground station to change: telemetry would say otherwise.
 FIXED = ("SYSID_THISMAV", "FRAME_CONFIG", *(f"SERVO{n}_FUNCTION" for n in range(1, 17)))
+
+# Globs of those that change what the simulated vehicle does or is sent; the others are only kept.
+EFFECTIVE = (
+    "BTN*_FUNCTION",
+    "FS_PILOT_TIMEOUT",
+    "JS_GAIN_*",
+    "JS_THR_GAIN",
+    "MOT_?_DIRECTION",
+    "RC_OVERRIDE_TIME",
+    "SR0_*",
+    "SURFACE_DEPTH",
+    "SYSID_MYGCS",
+    "WPNAV_SPEED_DN",
+    "WPNAV_SPEED_UP",
+)
 
 # {type: {name: value}}; defaults of ArduSub 4.5 on a BlueROV2.
 _DEFAULTS: dict[ParameterType, dict[str, float]] = {
@@ -316,6 +332,11 @@ class AutopilotParameters:
             entries.append(bytes([parameter.type, lengths]) + tail + struct.pack(FORMATS[parameter.type], value))
             before = name
         return struct.pack("<HHH", PCK_MAGIC, len(entries), len(entries)) + b"".join(entries)
+
+
+def has_effect(name: str) -> bool:
+    """Whether a parameter changes anything."""
+    return any(fnmatch.fnmatchcase(name, pattern) for pattern in EFFECTIVE)
 
 
 def _ardusub(rates: Mapping[str, float]) -> Iterator[AutopilotParameter]:

@@ -21,6 +21,7 @@ from ...mavlink.vehicle.modes import FlightMode
 from ...mavlink.vehicle.parameters import AutopilotParameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
 from ...names import ETA_AXES, NU_AXES, split_axis
+from ...plan.motors import PILOT
 from ...records.compare.vehicles import Vehicle, vehicles
 from ...records.file.run import Run
 from .content import Content
@@ -87,7 +88,20 @@ def _logged(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) 
         frame=frame,
         mode=FlightMode.GUIDED if guided else FlightMode.MANUAL,
     )
-    return LoggedVehicle(autopilot=autopilot, times=content.time, sample=sample)
+    return LoggedVehicle(autopilot=autopilot, times=content.time, sample=sample, states=_states(run, name))
+
+
+def _states(run: Run, vehicle: str) -> list[tuple[FlightMode, bool]]:
+    """Mode and arming in each row of a vehicle that a pilot steers; [] of others, or where they are not recorded."""
+    pilots = {c["name"] for c in run.resolved.get("components", ()) if c["fmu"] == PILOT}
+    ends = (ends[:2] for ends in run.resolved.get("connections", ()))
+    steering = {sink.partition(".")[0] for sink, source in ends if source == f"{vehicle}.eta.x"} & pilots
+    for pilot in steering:
+        if {f"{pilot}.mode", f"{pilot}.armed"} <= set(run.signals):
+            return [
+                (FlightMode(int(m)), bool(a)) for m, a in zip(run[f"{pilot}.mode"], run[f"{pilot}.armed"], strict=True)
+            ]
+    return []
 
 
 def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None, dict[str, float]]:
