@@ -194,6 +194,29 @@ def test_the_cache_is_used_and_deleted_and_damaged_without_harm(orch, store):
     assert listed(orch) == first
 
 
+def test_runs_that_ended_early_or_warned_are_marked_in_the_list(orch, store, tmp_path):
+    first, second = (run for run in listed(orch) if run["experiment"] == "sea")
+    assert (first["marks"], first["metrics_never"]) == ("", [])
+    with h5py.File(tmp_path / first["file"], "r+") as file:
+        file.attrs["stopped_at"] = 0.04
+        file.attrs["metrics"], file.attrs["metrics_never"] = json.dumps({"far": None}), json.dumps(["far"])
+    with h5py.File(tmp_path / second["file"], "r+") as file:
+        file.attrs["warnings"], file.attrs["warning_kinds"] = json.dumps(["it is wrong"]), json.dumps(["unstable"])
+    text = orch("list", "--experiment", "sea", "--columns", "metrics.far").out
+    assert text.count("completed†") == 2
+    lines = {line.split()[0]: line.split() for line in text.splitlines()}
+    assert lines[first["run_id"]][-1] == "never†"
+    assert lines[second["run_id"]][-1] == "0.1†"
+    words = "† not to be compared: 1 ended early, 1 warned: unstable at this step; --columns marks says which"
+    assert words in " ".join(text.split())
+    rows = csv.DictReader(io.StringIO(orch("list", "--csv", "--columns", "metrics.far", "--experiment", "sea").out))
+    found = {row["run_id"]: (row["marks"], row["metrics.far"]) for row in rows}
+    assert found[first["run_id"]] == ("ended early at 0.04 s", "inf")
+    assert found[second["run_id"]][0] == "warned: unstable at this step"
+    assert len(listed(orch, "--where", "marks == ''")) == 2
+    assert "†" not in orch("list", "--experiment", "time").out
+
+
 def test_a_record_that_changes_or_goes_is_seen(orch, store, tmp_path):
     gone, changed, *_ = listed(orch)
     (tmp_path / gone["file"]).unlink()

@@ -229,6 +229,19 @@ def test_a_run_that_failed_after_its_first_row_is_drawn_and_says_so(changed, spi
     assert any("failed at t = 0.005 s" in text for text in figure.texts)
 
 
+def test_figures_say_which_runs_ended_early_or_warned(changed, spiral_run, tmp_path):
+    def end(file):
+        file.attrs["stopped_at"] = 0.04
+        file.attrs.update(warnings='["it is wrong"]', warning_kinds='["unstable"]')
+
+    ended = changed(spiral_run, end)
+    words = "ended early at 0.04 s", "warned: unstable at this step"
+    alone = Figure(draw([ended], tmp_path / "f.svg"))
+    assert all(any(word in text for text in alone.texts) for word in words)
+    both = Figure(draw([ended, spiral_run], tmp_path / "g.svg"))
+    assert any(f"{ended.run_id}  ({'; '.join(words)})" in text for text in both.texts)
+
+
 def test_what_is_not_recorded_leaves_no_empty_panel(changed, spiral_run, tmp_path):
     def forget(file):
         for name in ("reference", "allocation", "current"):

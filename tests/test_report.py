@@ -491,6 +491,28 @@ def test_metrics_of_several_runs_stand_beside_each_other(written, spiral_run, ot
     assert "controller.K_p.z = 60" in seen
 
 
+def test_a_run_that_ended_early_or_warned_is_marked_beside_every_number(changed, spiral_run, chattering_run, tmp_path):
+    ended = changed(spiral_run, lambda file: file.attrs.update(stopped_at=3.9))
+    page = report.write([ended, chattering_run, spiral_run], tmp_path / "marked.html").read_text(encoding="utf-8")
+    seen = " ".join(text(page).split())
+    values = [f"{run.metrics['rmse_z']:.6g}" for run in (ended, chattering_run, spiral_run)]
+    assert f"rmse_z {values[0]}† {values[1]}† {values[2]} m" in seen
+    assert (
+        f"† not to be compared: {ended.run_id} ended early at 3.9 s; {chattering_run.run_id} warned: unstable" in seen
+    )
+    assert f"{ended.run_id} (ended early at 3.9 s)" in seen
+    assert page.count('<b class="bad">completed</b>') == 2
+    assert page.count('<b class="good">completed</b>') == 1
+
+
+def test_a_record_whose_metrics_are_of_its_rows_warns_of_it_in_its_report(changed, spiral_run, tmp_path):
+    """It has no warning of its own: the format it was written in says it."""
+    old = changed(spiral_run, lambda file: file.attrs.update(metrics_of="rows", warnings="[]", warning_kinds="[]"))
+    seen = text(report.write([old], tmp_path / "old.html").read_text(encoding="utf-8"))
+    assert "they say nothing of what happens between rows" in seen
+    assert f"{old.metrics['rmse_z']:.6g}†" in seen
+
+
 def test_the_command_writes_beside_the_record_or_where_it_should(orch, spiral_run, tmp_path):
     shutil.copy(spiral_run.path, tmp_path / "mine.h5")
     answer = orch("report", "mine.h5")

@@ -59,12 +59,14 @@ def list_(
     orch list --where "components.controller.fmu == 'pid' and metrics.rmse_x < 0.2"
     orch list --where "components.vehicle.parameters.eta_0.z > 1 and not status == 'failed'"
 
-    Names: run_id, experiment, title, status, created, wall_time, seed, git_commit, ..., components.NAME.fmu,
+    A dagger marks runs that ended early or warned that their numbers are wrong; `marks` says which.
+
+    Names: run_id, experiment, title, status, marks, created, wall_time, seed, git_commit, ..., components.NAME.fmu,
     components.NAME.parameters.X, master.step, metrics.NAME, versions.PACKAGE.  The expression knows and, or, not, ==,
     !=, <, <=, >, >=, in [...] and like 'glob*'.
     """
     from ...records.store import filters as listing
-    from ...views.tables.terminal import table, tied
+    from ...views.tables.terminal import table, tied, wrapped
 
     filters = listing.Filters(experiment=experiment, status=status, since=since, before=before, where=where)
     runs = listing.choose(Path(results), filters)
@@ -74,12 +76,12 @@ def list_(
     if as_json:
         click.echo(json.dumps([dict(run) for run in runs]))
     elif as_csv:
-        click.echo(listing.as_csv(runs, [*shown, "file"]), nl=False)
+        click.echo(listing.as_csv(runs, [*shown, listing.MARKS, "file"]), nl=False)
     elif runs:
         rows = listing.table(runs, shown)
         whole = [i for i, name in enumerate(shown) if name not in ("title", "error", "command")]
         cells = [[tied(cell) if i in whole else cell for i, cell in enumerate(row)] for row in rows[1:]]
-        click.echo("\n".join(table([rows[0], *cells])))
+        click.echo("\n".join([*table([rows[0], *cells]), *filter(None, [wrapped(listing.footnote(runs))])]))
     else:
         to_stderr(
             f"no run in {results}" + (" passes the filters" if any((experiment, status, since, before, where)) else "")

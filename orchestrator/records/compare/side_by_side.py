@@ -18,7 +18,7 @@ from ... import warning
 from ...errors import StoreError, did_you_mean
 from ...metrics import METRICS, finite, smaller_is_better, turn_of, unit_of
 from ...warning import Warned
-from ..file.marks import Standing, standing_of
+from ..file.marks import Standing, marked, standing_of
 from ..file.run import Run, metrics_in
 from ..store.folder import Store
 from .alike import in_words, unlike
@@ -73,8 +73,7 @@ class Entry:
     @property
     def title(self) -> str:
         """What speaks against its numbers, then the label: a table may cut off the end."""
-        marks = "; ".join(self.standing.marks)
-        return f"({marks}) {self.label}".rstrip() if marks else self.label
+        return marked(self.standing, self.label)
 
     @property
     def status(self) -> str:

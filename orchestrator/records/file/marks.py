@@ -51,6 +51,11 @@ class Standing:
         return (*ended, *early, *wrong, *([WORDS[Kind.SWITCHING]] if counts else []))
 
 
+def marked(standing: Standing, label: str) -> str:
+    """A label of a run behind its marks: "(ended early at 2 s) pid"; where there is no room, a label's end is cut."""
+    return f"({'; '.join(standing.marks)}) {label}".rstrip() if standing.marks else label
+
+
 def standing_of(attributes: Mapping[str, Any], status: str) -> Standing:
     """Of a record.  attributes: those of its root, decoded; status: as it is now, see `Run.status`."""
     stop_time = attributes.get("experiment_resolved", {}).get("master", {}).get("stop_time")

@@ -6,19 +6,23 @@ import csv
 import datetime
 import fnmatch
 import io
+import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...errors import OrchError, did_you_mean
+from ..file.marks import COMPLETED, DAGGER, EARLY
 from . import index, query
 from .query import Facts
 
 AGES = {"min": 60, "h": 3600, "d": 86400, "w": 604800}  # s
 STATUSES = ("completed", "failed", "interrupted", "interrupted (killed)", "running", index.CORRUPT)
 COLUMNS = ("run_id", "experiment", "status", "created", "real_time_factor")
+MARKS = "marks"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,18 +85,41 @@ def ordered(runs: Sequence[Facts], key: str, reverse: bool) -> list[Facts]:
 
 
 def cells(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[Any, ...]]:
-    """Values of the dotted names, None where a run lacks one.  Raises OrchError for a name that none has."""
+    """Values of the dotted names, None where a run lacks one, inf of a metric that is never reached.
+
+    Raises OrchError for a name that none has.
+    """
     for name in columns:
-        if runs and name not in COLUMNS and all(query.lookup(run, name) is None for run in runs):
+        if runs and name not in (*COLUMNS, MARKS) and all(_value(run, name) is None for run in runs):
             metrics = sorted({f"metrics.{metric}" for run in runs for metric in run["metrics"]})
             raise OrchError(f"--columns: no run has {name!r}{did_you_mean(name, metrics, 'there are')}")
-    return [tuple(query.lookup(run, name) for name in columns) for run in runs]
+    return [tuple(_value(run, name) for name in columns) for run in runs]
+
+
+def _value(run: Facts, name: str) -> Any:
+    metric = name.removeprefix("metrics.")
+    if metric != name and metric in (run.get("metrics_never") or ()) and run["status"] == COMPLETED:
+        return math.inf
+    return query.lookup(run, name)
 
 
 def table(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[str, ...]]:
-    """Rows of text, the head first."""
+    """Rows of text, the head first; with a dagger at the status and the metrics of runs that have marks."""
     head = tuple(name.removeprefix("metrics.").replace("_", " ") for name in columns)
-    return [head, *(tuple(map(_shown, columns, row)) for row in cells(runs, columns))]
+    rows = [[_shown(name, value) for name, value in zip(columns, row, strict=True)] for row in cells(runs, columns)]
+    for run, row in zip(runs, rows, strict=True):
+        for k, name in enumerate(columns):
+            if run.get(MARKS) and row[k] and (name == "status" or name.startswith("metrics.")):
+                row[k] += DAGGER
+    return [head, *map(tuple, rows)]
+
+
+def footnote(runs: Sequence[Facts]) -> str:
+    """What the daggers mean; "" where there is none."""
+    marks = [mark for run in runs for mark in str(run.get(MARKS) or "").split("; ") if mark]
+    reasons = Counter(EARLY if mark.startswith(EARLY) else mark for mark in marks)
+    counts = ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items()))
+    return f"{DAGGER} not to be compared: {counts}; --columns {MARKS} says which" if reasons else ""
 
 
 def as_csv(runs: Sequence[Facts], columns: Sequence[str]) -> str:
@@ -108,7 +135,9 @@ def _shown(name: str, value: Any) -> str:
         return ""
     if name == "created":
         return str(value)[:16].replace("T", " ")
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.5g}" if math.isfinite(value) else "never"
+    return str(value)
 
 
 def _parsed(created: str) -> datetime.datetime:

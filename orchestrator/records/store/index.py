@@ -18,7 +18,7 @@ from typing import Any
 from ...errors import StoreError
 
 NAME = ".index.sqlite"
-VERSION = 2  # of what the cache holds; one of another version is rebuilt
+VERSION = 3  # of what the cache holds; one of another version is rebuilt
 TABLE = f"facts{VERSION}"
 FEW = 400  # files that one process reads while others would still start
 PLAIN = (
@@ -40,9 +40,10 @@ PLAIN = (
     "hostname",
     "pid",
 )
-DECODED = ("metrics", "versions", "warnings")
+DECODED = ("metrics", "metrics_never", "versions", "warnings", "warning_kinds")
 # What is large and seldom needed is kept, and decoded, by itself: thousands of records are listed without it.
-PLACES = {"metrics": "metrics", "components": "details", "versions": "details", "warnings": "details"}
+PLACES = {"metrics": "metrics", "metrics_never": "metrics"}
+PLACES |= dict.fromkeys(("components", "versions", "warnings", "warning_kinds"), "details")
 CORRUPT = "corrupt"
 
 File = tuple[str, int, int]  # path, size, time of the last change [ns]
@@ -83,7 +84,7 @@ class LazyFacts(Mapping[str, Any]):
 
 def runs(folder: Path) -> list[LazyFacts]:
     """Facts of every record in a store, oldest file first: those in PLAIN and DECODED, `components` by name, `master`,
-    `record`, `file`, `bytes`.
+    `record`, `marks` (why a completed run may not be compared, see `file.marks`), `file`, `bytes`.
 
     A file that cannot be read has the status "corrupt" and the reason as its error; one that is deleted meanwhile is
     left out.  Raises StoreError where the store cannot be read.
@@ -153,6 +154,7 @@ def read(path: str) -> dict[str, Any]:
 
     from ..file.access import UNREADABLE, first_line
     from ..file.format import FORMAT
+    from ..file.marks import COMPLETED, standing_of
 
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -161,7 +163,9 @@ def read(path: str) -> dict[str, Any]:
             raise KeyError("it is no record")
         resolved = json.loads(attributes["experiment_resolved"])
         facts = {name: attributes[name] for name in PLAIN if name in attributes}
-        facts |= {name: json.loads(attributes[name]) for name in DECODED}
+        decoded = {name: json.loads(attributes[name]) for name in DECODED if name in attributes}
+        told = {**attributes, **decoded, "experiment_resolved": resolved}
+        facts |= {**decoded, "marks": "; ".join(standing_of(told, COMPLETED).marks)}
         facts["components"] = {component.pop("name"): component for component in resolved["components"]}
         return {**facts, "master": resolved["master"], "record": {"every": resolved["record"]["every"]}}
     except FileNotFoundError:

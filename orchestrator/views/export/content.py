@@ -34,7 +34,10 @@ FACTS = (
     "experiment_toml",
     "experiment_resolved",
     "metrics",
+    "metrics_never",
+    "metrics_of",
     "warnings",
+    "warning_kinds",
 )
 
 

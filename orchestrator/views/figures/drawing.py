@@ -18,6 +18,7 @@ from ...errors import StoreError, did_you_mean
 from ...fmu.units import readable
 from ...names import matches, split_axis
 from ...records.compare.labels import labels_of
+from ...records.file.marks import COMPLETED, marked
 from .. import figures, lines
 from . import overview
 from .panels import GREY, Curve, Panel, band_key, colour, draw_rows, plain, symbol
@@ -148,9 +149,9 @@ def _facts(run: Run) -> list[str]:
     attributes = run.attributes
     models = dict.fromkeys(str(c["fmu"]) for c in attributes["experiment_resolved"]["components"])
     facts = [f"run {run.run_id}", f"{attributes['algorithm']}, step {attributes['step']:g} s", ", ".join(models)]
-    if run.status != "completed":
+    if run.status != COMPLETED:
         facts.insert(1, f"{run.status} at t = {attributes.get('failed_at', run.time[-1]):.6g} s")
-    return facts
+    return [facts[0], *(mark for mark in run.standing.marks if mark != run.status), *facts[1:]]
 
 
 def _run_keys(runs: Sequence[Run]) -> list[Artist]:
@@ -159,8 +160,8 @@ def _run_keys(runs: Sequence[Run]) -> list[Artist]:
         return []
     keys: list[Artist] = []
     for i, (run, what) in enumerate(zip(runs, labels_of([run.resolved for run in runs]), strict=True)):
-        status = "" if run.status == "completed" else f" ({run.status})"
-        keys.append(Line2D([], [], color=colour(i), label=plain(f"{run.run_id}{status}  {what}".rstrip())))
+        label = f"{run.run_id}  {marked(run.standing, what)}".rstrip()
+        keys.append(Line2D([], [], color=colour(i), label=plain(label)))
     return keys
 
 

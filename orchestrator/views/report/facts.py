@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ... import metrics
 from ...files import short
+from ...records.file.marks import DAGGER
 
 if TYPE_CHECKING:
     from ...records.file.run import Run
@@ -26,13 +27,13 @@ def of(run: Run, label: str) -> dict[str, Any]:
         "id": run.run_id,
         "label": label,
         "status": run.status,
-        "completed": run.status == "completed",
+        "good": not run.standing.marks,
         "how": f"{last} in steps of {facts['step']:g} s, {facts['algorithm']}; "
         f"wall time {facts['wall_time']:.3g} s, {facts['real_time_factor']:.3g} × real time",
         "error": facts["error"],
         "failed_at": f" at t = {facts['failed_at']:.10g} s" if "failed_at" in facts else "",
         "stopped_at": f"an FMU ended the run at {facts['stopped_at']:.10g} s." if "stopped_at" in facts else "",
-        "warnings": facts["warnings"],
+        "warnings": run.warnings,
         "made": [row for row in _made(run) if row[1]],
         "components": _components(run),
         "toml": facts["experiment_toml"],
@@ -68,21 +69,29 @@ def _components(run: Run) -> list[dict[str, str]]:
 
 
 def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
-    """The metrics as a table, runs beside each other.  words: the columns that are no numbers."""
+    """The metrics as a table, runs beside each other.
+
+    words: the columns that are no numbers; footnote: what the daggers mean.
+    """
     specs: dict[str, Mapping[str, Any]] = {}
     for run in runs:
         specs |= run.attributes["experiment_resolved"].get("metrics", {})
     values = [_texts(run.metrics, run.unsampled) for run in runs]
     units = {name: unit for run in reversed(runs) for name, unit in run.metric_units.items()}
-    rows = []
+    rows, footnotes = [], dict[str, None]()
     for name in (name for name in specs if any(name in v for v in values)):
         unit = metrics.unit_of(specs[name], units)
-        shown = [v.get(name, "") for v in values]
+        marks = [
+            run.standing.marks_of(specs[name]["of"]) if name in v else () for run, v in zip(runs, values, strict=True)
+        ]
+        shown = [v.get(name, "") + DAGGER * bool(m) for v, m in zip(values, marks, strict=True)]
+        footnotes |= {f"{run.run_id} {', '.join(m)}": None for run, m in zip(runs, marks, strict=True) if m}
         rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[name])])
     until = [f" until {run.ended_at:.6g} s" if run.ended_early and run.metrics else "" for run in runs]
     values_of = [f"{label}{end}" for label, end in zip(labels if len(runs) > 1 else ["value"], until, strict=True)]
     heads = ["metric", *values_of, "unit", "of"]
-    return {"heads": heads, "rows": rows, "words": (0, len(heads) - 2, len(heads) - 1)}
+    footnote = f"{DAGGER} not to be compared: {'; '.join(footnotes)}" if footnotes else ""
+    return {"heads": heads, "rows": rows, "words": (0, len(heads) - 2, len(heads) - 1), "footnote": footnote}
 
 
 def _texts(values: Mapping[str, float], unsampled: Container[str]) -> dict[str, str]:

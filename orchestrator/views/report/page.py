@@ -17,6 +17,7 @@ from ...errors import OrchError
 from ...files import write_text
 from ...records.compare.labels import labels_of
 from ...records.compare.vehicles import vehicles
+from ...records.file.marks import marked
 from ..figures.diagram import diagram
 from ..pages import render
 from . import curves, facts, scene
@@ -38,7 +39,7 @@ def page(runs: Sequence[Run]) -> str:
     except ImportError:
         raise OrchError('orch report draws with plotly, which is not installed; pip install "orch[report]"') from None
     labels = [
-        f"{run.run_id}  {what}".strip()
+        f"{run.run_id}  {marked(run.standing, what)}".strip()
         for run, what in zip(runs, labels_of([run.resolved for run in runs]), strict=True)
     ]
     fleet = [(run, vehicles(run)) for run in runs if len(run.time)]
