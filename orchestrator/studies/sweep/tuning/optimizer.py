@@ -10,7 +10,7 @@ import itertools
 import json
 import logging
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,14 +102,21 @@ def tune(
     if pressed.is_set():
         return TuneResult(tune_id, folder, tuned, notes, None)
     _write(folder, search, tuned)
-    for one in tuned:
-        if not one.parameters:
-            notes.append(f"{one.fmu}: no trial completed, so it is not tuned")
-            report(f"note: {notes[-1]}")
+    for note in (note for one in tuned for note in _remarks(one)):
+        notes.append(note)
+        report(f"note: {note}")
     comparison = search.comparison({one.fmu: one.parameters for one in tuned})
     final = prepare_as(experiment, comparison, packaging, report)
     swept = engine.sweep(final, results, scheduler, workers, runs_ended=runs_ended)
     return TuneResult(tune_id, folder, tuned, notes, swept)
+
+
+def _remarks(one: TunedController) -> Iterator[str]:
+    """What a user should know of a controller's trials."""
+    for why, n in one.refused.items():
+        yield f"{one.fmu}: {n} trials do not count: {why}"
+    if not one.parameters:
+        yield f"{one.fmu}: no trial completed, so it is not tuned"
 
 
 def _optuna() -> Any:

@@ -1,7 +1,8 @@
 """The trials of one controller: which runs the next trial needs, and whether it is pruned.
 
 The first trial is the controller's defaults.  A trial runs its draws in quarters, and is pruned where the mean so far
-is worse than the median of the earlier trials at that point, or where a run fails.  The sampler of trial n is seeded by
+is worse than the median of the earlier trials at that point, or where a run cannot be judged: it fails, ends early,
+warns that its numbers are wrong, or has no number.  The sampler of trial n is seeded by
 the sweep's seed and n alone, so that a study that was interrupted goes on as if it had not been.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
+from collections import Counter
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,10 +22,11 @@ from ....fmu.values import flatten
 from ....runs.prepare import Report
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep
-from ..engine.worker import COMPLETED, PointResult
+from ..engine.worker import PointResult
 from .designs import SearchDesign
 
 RUNGS = 4  # looks at a trial, at most, before it is complete
+NO_NUMBER = "no number of the objective"
 STARTUP = 5  # trials at random before the sampler learns from them
 
 Asking = Generator[list[DesignPoint], dict[int, PointResult], None]  # yields runs, is sent how they ended
@@ -31,7 +34,11 @@ Asking = Generator[list[DesignPoint], dict[int, PointResult], None]  # yields ru
 
 @dataclass(frozen=True, kw_only=True)
 class TunedController:
-    """The result for one controller.  default, best: objectives on the trials' draws, nan where no trial completed."""
+    """The result for one controller.
+
+    default, best: objectives on the trials' draws, nan where no trial completed.  refused: {why a trial was pruned at a
+    run that cannot be judged: how many were, now}.
+    """
 
     fmu: str
     parameters: Mapping[str, Any]
@@ -39,6 +46,7 @@ class TunedController:
     best: float
     trials: int
     pruned: int
+    refused: Mapping[str, int]
 
 
 class ControllerSearch:
@@ -55,7 +63,8 @@ class ControllerSearch:
     ):
         spec = search.spec
         self._optuna, self._space, self._spec, self._fmu = optuna, spec.spaces[fmu], spec, fmu
-        self._fixed = search.controllers[fmu].fixed
+        self._fixed, self._metrics = search.controllers[fmu].fixed, prepared.experiment.metrics
+        self._refused: Counter[str] = Counter()
         self._key = f"components.{spec.component}"
         self._draws = [point.values for point in prepared.points if point.values[f"{self._key}.fmu"] == fmu]
         self._seed = prepared.spec.seed
@@ -114,17 +123,23 @@ class ControllerSearch:
                 DesignPoint(i, i, {**self._draws[i], f"{self._key}.parameters": {**self._fixed, **parameters}})
                 for i in chosen
             ]
-            values += [
-                self._spec.value(results[i].metrics) if results[i].status == COMPLETED else math.nan for i in chosen
-            ]
-            if not all(map(math.isfinite, values)):
+            why = [reason for i in chosen for reason in self._reasons(results[i])]
+            if why:
+                self._refused.update(set(why))
                 self._study.tell(trial, state=state.PRUNED)
                 return
+            values += [self._spec.value(results[i].metrics) for i in chosen]
             trial.report(math.fsum(values) / len(values), len(values))
             if len(values) < len(self._draws) and trial.should_prune():
                 self._study.tell(trial, state=state.PRUNED)
                 return
         self._study.tell(trial, math.fsum(values) / len(values))
+
+    def _reasons(self, result: PointResult) -> list[str]:
+        """Why a run cannot be judged; [] where it can."""
+        of = [self._metrics[name]["of"] for name in self._spec.objective]
+        why = list(dict.fromkeys(reason for kind in of for reason in result.standing.reasons_of(kind)))
+        return why or ([] if math.isfinite(self._spec.value(result.metrics)) else [NO_NUMBER])
 
     def tuned(self) -> TunedController:
         complete = self._study.get_trials(deepcopy=False, states=self._ended[:1])
@@ -137,6 +152,7 @@ class ControllerSearch:
             best=self.best,
             trials=self.ended,
             pruned=self.ended - len(complete),
+            refused=dict(self._refused),
         )
 
 
