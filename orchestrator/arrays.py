@@ -38,3 +38,14 @@ class Signals(Protocol):
 
     def is_angle(self, name: str) -> bool:
         """Whether differences of a signal are differences on the circle."""
+
+
+LINE = 64  # bytes of a cache
+
+
+def aligned(n: int, value: float = 0.0) -> Reals:
+    """(n,) of one value, in whole lines of the cache: a vector of them is never in two."""
+    per_line = LINE // 8
+    memory = np.full((-(-n // per_line) + 1) * per_line, value)
+    first = -memory.ctypes.data % LINE // 8
+    return memory[first : first + n]

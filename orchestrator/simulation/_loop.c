@@ -53,7 +53,7 @@ static const uint8_t SIZES[KINDS] = {EACH_KIND(SIZE)};
 #define MOMENT_NAMES "AT_ONCE TICK_END PERIOD_END"
 enum { AT_ONCE, TICK_END, PERIOD_END, MOMENTS };
 enum { NOT_FINITE = -1 };
-enum { GAP = 8 }; /* reals that a span may have between: to pass over them takes less time than to begin anew */
+enum { VECTOR = 4 }; /* reals that are passed over at once; arrays of them are padded and aligned, see arrays.py */
 enum { FMI_WARNING = 1, FMI_DISCARD, FMI_ERROR };
 
 typedef int Exchange(void *handle, const uint32_t *references, size_t n, void *values);
@@ -63,7 +63,7 @@ typedef int DoStep3(void *handle, double t, double h, bool no_going_back, bool *
                     double *reached);
 typedef void Function(void);
 
-/* Reals that follow one another in the table, or nearly so. */
+/* Reals that follow one another in the table, or nearly so: whole vectors. */
 typedef struct {
     size_t first, n;
 } Span;
@@ -504,10 +504,10 @@ static int find_spans(const Py_ssize_t *places, size_t n, Span **spans, size_t *
     *spans = calloc(n + 1, sizeof **spans);
     if (!*spans) return PyErr_NoMemory(), -1;
     for (size_t i = 0; i < n; i++) {
-        size_t place = (size_t)places[i];
+        size_t first = (size_t)places[i] / VECTOR * VECTOR;
         Span *last = i ? &(*spans)[*n_spans - 1] : NULL;
-        if (last && place >= last->first + last->n && place <= last->first + last->n + GAP) last->n = place + 1 - last->first;
-        else (*spans)[(*n_spans)++] = (Span){place, 1};
+        if (last && first >= last->first && first <= last->first + last->n + VECTOR) last->n = first + VECTOR - last->first;
+        else (*spans)[(*n_spans)++] = (Span){first, VECTOR};
     }
     return 0;
 }

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Places, Reals, Table
+from ..arrays import Places, Reals, Table, aligned
 from ..fmu.variables import FLOATS, NUMBERS, WHOLE, Variable
 from ..plan.feedthrough import components as strongly_connected
 from ..plan.plan import Plan
@@ -106,10 +106,10 @@ class Bursts:
         self.outputs = sorted(fed_back(plan, system), key=lambda o: (NUMBERS.index(o.variable.kind), o.place))
         self._tables = [(tables[kind], where, places) for kind, where, places in self._by_kind()]
         self.first = self.last = plan.first
-        self._reals = tables["real"][: system.computed["real"]]
+        self._reals = tables["real"]
         self._now = np.zeros(len(self.outputs))
         self._n_real = sum(output.variable.kind == "real" for output in self.outputs)
-        self._squares = np.zeros(len(self._reals))  # of all real outputs: one pass over them is the fastest
+        self._squares = aligned(len(self._reals))  # in the places of the table
         self._squares_of_others = np.zeros(len(self.outputs) - self._n_real)
         self.clocks = self._like(like, factor, kept, plan) if like else self._own(plan)
 

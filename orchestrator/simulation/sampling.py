@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Places, Reals, Table
+from ..arrays import Places, Reals, Table, aligned
 from ..fmu.variables import NUMBERS
 from ..metrics import Meter
 from ..plan.limits import Limit, Reference, limits_of, references_of
@@ -69,8 +69,8 @@ class Samples:
         ]
         self._bounded = np.array([system.places[c, v.name] for c, v in plan.bounded], dtype=np.intp)
         self._reals = system.tables["real"]
-        self._least = np.full(len(self._reals), math.inf)
-        self._largest = np.full(len(self._reals), -math.inf)
+        self._least = aligned(len(self._reals), math.inf)
+        self._largest = aligned(len(self._reals), -math.inf)
         grid = plan.experiment.grid
         self._meters = {
             name: Meter(spec, plan.units, plan.angles, grid.ticks(spec["every"]) or 1 if "every" in spec else 1)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Places, Tables
+from ..arrays import Places, Tables, aligned
 from ..fmu.fmu import Fmu, unpack
 from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 from ..instances import instantiate
@@ -185,7 +185,8 @@ class System:
             reserve(component, held)
         for kind in KINDS:
             start: Any = b"" if kind in OBJECTS else 0
-            self.tables[kind] = np.full(len(self.names[kind]), start, dtype=DTYPES[kind])
+            n = len(self.names[kind])
+            self.tables[kind] = aligned(n) if kind == "real" else np.full(n, start, dtype=DTYPES[kind])
             places = [place[c, v.name] for c, v in plan.recorded if v.kind == kind]
             self.recorded[kind] = np.array(places, dtype=np.intp)
         for stepper in self.steppers:
