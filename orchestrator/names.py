@@ -7,6 +7,8 @@ import fnmatch
 ETA_AXES = ("x", "y", "z", "phi", "theta", "psi")  # position in NED and zyx Euler angles
 ANGLE_AXES = ETA_AXES[3:]
 NU_AXES = ("u", "v", "w", "p", "q", "r")  # velocity in BODY
+ETA_UNITS = dict(zip(ETA_AXES, ("m", "m", "m", "rad", "rad", "rad"), strict=True))  # {axis: unit}
+NU_UNITS = dict(zip(NU_AXES, ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s"), strict=True))
 
 
 def split_axis(name: str) -> tuple[str, str]:

@@ -177,3 +177,17 @@ def test_metrics_of_two_signals_convert_the_units_of_each(orch, write, poses):
 def test_a_metric_of_units_that_do_not_fit_is_refused(problems, poses, spec, key, words):
     result = problems(poses({"it": spec}))
     assert any(k == f"metrics.it.{key}" and words in sentence for k, sentence in result), result
+
+
+def test_a_record_of_the_first_format_has_its_angles_by_axis_and_unit(spiral, write, tmp_path):
+    """Format 1 had no quantities."""
+    with orchestrator.run(write(spiral), output=tmp_path / "run.h5") as record:
+        now = {name for name in record.signals if record.is_angle(name)}
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file.attrs["format_version"] = 1
+        for axis in ANGLE_AXES:
+            for vector in ("vehicle/eta", "reference/eta_d"):
+                del file[f"{vector}.{axis}"].attrs["quantity"]
+    with orchestrator.open_run(tmp_path / "run.h5") as record:
+        assert {name for name in record.signals if record.is_angle(name)} == now
+        assert "reference.eta_d_dot.psi" in record.signals  # rad/s

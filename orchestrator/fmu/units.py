@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -141,6 +142,17 @@ def conversion(
     if a == b or (source == sink and math.isclose(a.factor, b.factor, rel_tol=1e-6) and a.offset == b.offset):
         return 1.0, 0.0
     return a.factor / b.factor, (a.offset - b.offset) / b.factor
+
+
+def scale(unit: str, wanted: str, defined: Mapping[str, Unit] = MappingProxyType({})) -> float:
+    """Factor from a unit to the one that is wanted; 1 where it has none, or one that does not convert.
+
+    defined: units that the FMU defines.
+    """
+    try:
+        return conversion(unit, defined, wanted, {})[0]
+    except ValueError:
+        return 1.0
 
 
 def readable(text: str) -> tuple[str, float]:

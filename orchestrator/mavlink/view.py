@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..fmu.units import scale
 from ..fmu.variables import Variable
-from ..names import ETA_AXES, NU_AXES, split_axis
+from ..names import ETA_AXES, ETA_UNITS, NU_UNITS, split_axis
 from ..plan.plan import Component, Connection, Plan
 from ..simulation.observer import SystemView
 from .vehicle.autopilot import Autopilot
@@ -20,7 +21,7 @@ from .vehicle.sample import Sample, gravity_alone
 if TYPE_CHECKING:
     from ..arrays import Places, Reals
 
-FORCE_AXES = ("x", "y", "z")
+FORCE_UNITS = dict.fromkeys(("x", "y", "z"), "m/s2")
 PATIENCE = 4  # times at whole milliseconds that may be missed before a sample is taken at another time
 
 
@@ -103,37 +104,43 @@ def _vectors(plan: Plan, vehicle: str) -> dict[str, _VectorSource]:
     component = next(component for component in plan.components if component.name == vehicle)
     commands = [v for v in component.fmu.lookup("u").values() if v.causality == "input" and v.kind == "real"]
     return {
-        "eta": _outputs(component, "eta", ETA_AXES),
-        "nu": _outputs(component, "nu", NU_AXES),
-        "specific_force": _outputs(component, "specific_force", FORCE_AXES),
-        "u": _inputs(plan, component, commands),
+        "eta": _outputs(component, "eta", ETA_UNITS),
+        "nu": _outputs(component, "nu", NU_UNITS),
+        "specific_force": _outputs(component, "specific_force", FORCE_UNITS),
+        "u": _inputs(plan, component, commands, np.ones(len(commands))),
         "eta_d": _desired(plan, vehicle),
     }
 
 
-def _outputs(component: Component, vector: str, axes: Iterable[str]) -> _VectorSource:
-    """A vector that a component puts out; empty if it does not."""
-    if not component.puts_out(vector, axes):
+def _outputs(component: Component, vector: str, units: Mapping[str, str]) -> _VectorSource:
+    """A vector that a component puts out, in {axis: unit}; empty if it does not."""
+    if not component.puts_out(vector, units):
         return _VectorSource()
     variables = component.fmu.lookup(vector)
-    return _VectorSource(signals=[(component.name, variables[axis]) for axis in axes])
+    factors = np.array([scale(variables[axis].unit, unit, component.fmu.units) for axis, unit in units.items()])
+    signals = [(component.name, variables[axis]) for axis in units]
+    return _VectorSource(signals=signals, factors=None if np.all(factors == 1.0) else factors)
 
 
-def _inputs(plan: Plan, component: Component, inputs: Sequence[Variable]) -> _VectorSource:
-    """What drives some inputs of a component: outputs of others, or its start values."""
+def _inputs(plan: Plan, component: Component, inputs: Sequence[Variable], scales: Reals) -> _VectorSource:
+    """What drives some inputs of a component: outputs of others, or its start values.
+
+    scales: (N,) factors from the units of the inputs.
+    """
     by_input = {c.input.name: c for c in plan.connections if c.sink == component.name}
     connections = [by_input[v.name] for v in inputs if v.name in by_input]
     if inputs and len(connections) == len(inputs) and all(c.output.kind == "real" for c in connections):
-        return _connected(connections)
-    return _VectorSource(values=[float(component.start.get(v.name, v.initial)) for v in inputs])
+        return _connected(connections, scales)
+    values = [float(component.start.get(v.name, v.initial)) * s for v, s in zip(inputs, scales, strict=True)]
+    return _VectorSource(values=values)
 
 
-def _connected(connections: Sequence[Connection]) -> _VectorSource:
+def _connected(connections: Sequence[Connection], scales: Reals) -> _VectorSource:
     signals = [(c.source, c.output) for c in connections]
-    if all(c.direct for c in connections):
+    if all(c.direct for c in connections) and np.all(scales == 1.0):
         return _VectorSource(signals=signals)
     factors, offsets = np.array([(c.factor, c.offset) for c in connections]).T
-    return _VectorSource(signals=signals, factors=factors, offsets=offsets)
+    return _VectorSource(signals=signals, factors=factors * scales, offsets=offsets * scales)
 
 
 def _desired(plan: Plan, vehicle: str) -> _VectorSource:
@@ -141,7 +148,9 @@ def _desired(plan: Plan, vehicle: str) -> _VectorSource:
     guide = _guide(plan, vehicle)
     if guide is None:
         return _VectorSource(values=[np.nan] * len(ETA_AXES))
-    return _inputs(plan, guide, [guide.fmu.variables[f"eta_d.{axis}"] for axis in ETA_AXES])
+    inputs = [guide.fmu.variables[f"eta_d.{axis}"] for axis in ETA_AXES]
+    scales = [scale(v.unit, unit, guide.fmu.units) for v, unit in zip(inputs, ETA_UNITS.values(), strict=True)]
+    return _inputs(plan, guide, inputs, np.array(scales))
 
 
 def _guide(plan: Plan, vehicle: str) -> Component | None:

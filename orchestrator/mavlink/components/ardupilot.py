@@ -17,9 +17,10 @@ import numpy as np
 
 from ...errors import OrchError
 from ...fmu.variables import Variable
+from ...names import ETA_UNITS, NU_UNITS
 from ..vehicle.frame import FACTORS, ThrusterFrame
 from ..vehicle.sample import rotation, wrapped
-from .declare import ETA_UNITS, NU_UNITS, numbered, scalar, vector
+from .declare import numbered, scalar, vector
 
 if TYPE_CHECKING:
     from ...arrays import Reals

@@ -7,10 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ...fmu.variables import ANGLE, Variable
-from ...names import ANGLE_AXES, ETA_AXES, NU_AXES
-
-ETA_UNITS = dict(zip(ETA_AXES, ("m", "m", "m", "rad", "rad", "rad"), strict=True))  # {axis: unit}
-NU_UNITS = dict(zip(NU_AXES, ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s"), strict=True))
+from ...names import ANGLE_AXES
 
 
 def scalar(name: str, causality: str, unit: str, description: str, **more: Any) -> Variable:

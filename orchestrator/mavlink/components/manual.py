@@ -14,10 +14,11 @@ import numpy as np
 
 from ...errors import OrchError
 from ...fmu.variables import Variable
+from ...names import ETA_UNITS, NU_UNITS
 from ..vehicle.control import Control
 from ..vehicle.modes import MOTIONS, FlightMode
 from ..vehicle.sample import wrapped
-from .declare import ETA_UNITS, NU_UNITS, numbered, scalar, vector
+from .declare import numbered, scalar, vector
 
 if TYPE_CHECKING:
     from ...arrays import Reals

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ...metrics import METRICS, unit_of
 from ...names import split_axis
 from ..file.run import Run
 from .settings import Setting, differing, flat, settings
@@ -32,7 +33,7 @@ def changes(a: Run, b: Run) -> list[Change]:
     return [
         *deciding,
         *_changes(_circumstances(before), _circumstances(after), False),
-        *_changes(_ended(before), _ended(after), False),
+        *_changes(_ended(a, b), _ended(b, a), False),
     ]
 
 
@@ -53,8 +54,17 @@ def _circumstances(facts: Mapping[str, Any]) -> dict[Setting, Any]:
     return dict(flat({name: facts[name] for name in MADE}))
 
 
-def _ended(facts: Mapping[str, Any]) -> dict[Setting, Any]:
-    return dict(flat({**{name: facts.get(name) for name in ENDED if facts.get(name)}, "metrics": facts["metrics"]}))
+def _ended(run: Run, other: Run) -> dict[Setting, Any]:
+    """How a run ended; metrics whose units are not those of the other run are told apart by them."""
+    facts, units, others = run.attributes, _units(run), _units(other)
+    told = {name: f"{name} [{unit}]" for name, unit in units.items() if others.get(name, unit) != unit}
+    metrics = {told.get(name, name): value for name, value in facts["metrics"].items()}
+    return dict(flat({**{name: facts.get(name) for name in ENDED if facts.get(name)}, "metrics": metrics}))
+
+
+def _units(run: Run) -> dict[str, str]:
+    specs, units = run.resolved.get("metrics", {}), run.metric_units
+    return {name: unit_of(spec, units) for name, spec in specs.items() if spec["of"] in METRICS}
 
 
 def _deciding(facts: Mapping[str, Any], other: Mapping[str, Any]) -> dict[Setting, Any]:

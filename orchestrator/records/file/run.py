@@ -16,7 +16,7 @@ from ... import warning
 from ...errors import StoreError, did_you_mean
 from ...experiment.timegrid import TimeGrid
 from ...fmu.variables import ANGLE
-from ...names import split_axis
+from ...names import ANGLE_AXES, split_axis
 from ...warning import Warned
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
 from .format import ENVELOPE, HEARD, JSON
@@ -135,11 +135,19 @@ class Run:
         return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
 
     def is_angle(self, name: str) -> bool:
-        """Whether differences of a signal are differences on the circle; of records without quantities: no."""
+        """Whether differences of a signal are differences on the circle.
+
+        Records of format 1 have no quantities: there it is an axis phi, theta or psi in rad or deg.
+        """
         component, _, variable = name.partition(".")
-        return name in self.signals and self._get(
-            name, lambda file: file[component][variable].attrs.get("quantity") == ANGLE
-        )
+
+        def judged(file: h5py.File) -> bool:
+            stored = file[component][variable].attrs
+            if file.attrs["format_version"] > 1:
+                return bool(stored.get("quantity") == ANGLE)
+            return split_axis(variable)[1] in ANGLE_AXES and stored["units"] in ("rad", "deg")
+
+        return name in self.signals and self._get(name, judged)
 
     def envelope(self, name: str) -> Reals | None:
         """(N, 2): the least and the largest value of a signal since the row before; None where it is not recorded."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mcap.writer import Writer
 
+from ...names import ANGLE_AXES
 from ...records.compare.vehicles import AXES, vehicles
 from . import foxglove
 from .content import Content, Signal, unique
@@ -146,8 +147,11 @@ def _frame_of(name: str) -> Callable[[int, Any], Any]:
 def _poses(
     eta: Mapping[str, Reals], times: Sequence[int], message: Callable[[int, Any], Any]
 ) -> Callable[[slice], list[Any]]:
+    # Without jumps of the angles, quaternions keep their sign from row to row.
+    smooth = {axis: np.unwrap(eta[axis]) if axis in ANGLE_AXES else eta[axis] for axis in AXES}
+
     def messages(rows: slice) -> list[Any]:
-        poses = foxglove.poses({axis: eta[axis][rows] for axis in AXES})
+        poses = foxglove.poses({axis: smooth[axis][rows] for axis in AXES})
         return [message(time, pose) for time, pose in zip(times[rows], poses, strict=True)]
 
     return messages

@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import OrchError, StoreError
 from ...experiment import reader
 from ...experiment.mavlink import MavlinkSpec
+from ...fmu.units import scale
 from ...mavlink.fleet import spec_of
 from ...mavlink.tlog import LoggedVehicle
 from ...mavlink.tlog import write as write_log
@@ -20,13 +21,14 @@ from ...mavlink.vehicle.frame import DEFAULT_MAX_THRUST, ThrusterFrame, matrix_o
 from ...mavlink.vehicle.modes import FlightMode
 from ...mavlink.vehicle.parameters import AutopilotParameters
 from ...mavlink.vehicle.sample import Sample, gravity_alone
-from ...names import ETA_AXES, NU_AXES, split_axis
+from ...names import ETA_AXES, NU_UNITS, split_axis
 from ...plan.motors import PILOT
 from ...records.compare.vehicles import Vehicle, vehicles
 from ...records.file.run import Run
 from .content import Content
 
 if TYPE_CHECKING:
+    from ...arrays import Reals
     from ...plan.plan import Plan
 
 FORCE = ("x", "y", "z")
@@ -47,8 +49,8 @@ def write(content: Content, target: Path) -> None:
     spec = reader.parse(
         Path(facts["experiment"]), facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"]
     ).mavlink_spec
-    spec = spec.showing(name for name in recorded if _has(run, name, "nu", NU_AXES))
-    missing = [name for name in spec.vehicles if name not in recorded or not _has(run, name, "nu", NU_AXES)]
+    spec = spec.showing(name for name in recorded if _has(run, name, "nu", tuple(NU_UNITS)))
+    missing = [name for name in spec.vehicles if name not in recorded or not _has(run, name, "nu", tuple(NU_UNITS))]
     if missing or not spec.vehicles:
         lacking = " and ".join(f"{name}.nu" for name in missing or recorded)
         raise StoreError(f"{run.path} does not record {lacking}, which telemetry needs: record it and run again")
@@ -60,11 +62,11 @@ def write(content: Content, target: Path) -> None:
 def _logged(content: Content, vehicle: Vehicle, system: int, spec: MavlinkSpec) -> LoggedVehicle:
     run, name, n = content.run, vehicle.name, len(content.time)
     eta = np.column_stack([vehicle.eta[axis] for axis in ETA_AXES])
-    nu = np.column_stack([run[f"{name}.nu.{axis}"] for axis in NU_AXES])
+    nu = np.column_stack([_in(run, f"{name}.nu.{axis}", unit) for axis, unit in NU_UNITS.items()])
     u = np.column_stack(list(vehicle.u.values())) if vehicle.u else np.zeros((n, 0))
     force = None
     if _has(run, name, "specific_force", FORCE):
-        force = np.column_stack([run[f"{name}.specific_force.{axis}"] for axis in FORCE])
+        force = np.column_stack([_in(run, f"{name}.specific_force.{axis}", "m/s2") for axis in FORCE])
     guided = all(axis in vehicle.eta_d for axis in ETA_AXES)
     eta_d = np.column_stack([vehicle.eta_d[axis] for axis in ETA_AXES]) if guided else np.full((n, 6), np.nan)
 
@@ -127,6 +129,11 @@ def _parameter(run: Run, component: str, name: str, default: float) -> float:
         if variable.get("name") == name:  # FMI 3.0 has the value here, FMI 2.0 one below
             return next((float(start) for element in variable.iter() if (start := element.get("start"))), default)
     return default
+
+
+def _in(run: Run, signal: str, unit: str) -> Reals:
+    values: Reals = run[signal] * scale(run.units(signal), unit)
+    return values
 
 
 def _has(run: Run, component: str, vector: str, axes: tuple[str, ...]) -> bool:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ...errors import StoreError, did_you_mean
-from ...fmu.units import readable
+from ...fmu.units import conversion, readable
 from ...names import matches, split_axis
 from ...records.compare.labels import labels_of
 from ...records.file.marks import COMPLETED, marked
@@ -187,14 +187,15 @@ def _chosen(runs: Sequence[Run], globs: Sequence[str]) -> list[Panel]:
 
 def _panel(runs: Sequence[Run], title: str, names: Sequence[str], unit: str) -> Panel:
     """Signals that share a unit, angles in degrees; the components of an array side by side."""
-    shown, factor = readable(unit)
+    shown, _ = readable(unit)
     symbols = [symbol(_split(name)[1] or name.rpartition(".")[2]) for name in names]
     curves: list[Curve] = []
     for i, run in enumerate(runs):
         for name, label in zip(names, symbols, strict=True):
             if name not in run.signals:
                 continue
-            columns = np.asarray(run[name], float).reshape(len(run.time), -1).T * factor
+            factor, offset = _conversion(run, name, unit, shown)
+            columns = np.asarray(run[name], float).reshape(len(run.time), -1).T * factor + offset
             for k, values in enumerate(columns):
                 style = {"color": colour(i if len(runs) > 1 else len(curves)), "linewidth": 1.0, "alpha": 0.9}
                 if len(columns) > 1 and i == 0:
@@ -203,9 +204,24 @@ def _panel(runs: Sequence[Run], title: str, names: Sequence[str], unit: str) -> 
                     style["label"] = label
                 turn = lines.TURN if shown == "deg" and run.is_angle(name) else 0.0
                 bounds = run.envelope(name)
-                curves.append(Curve(run.time, values, style, None if bounds is None else bounds * factor, turn))
+                shown_bounds = None if bounds is None else bounds * factor + offset
+                curves.append(Curve(run.time, values, style, shown_bounds, turn))
     text = f"{symbols[0]} … {symbols[-1]}" if len(symbols) > 3 else ", ".join(symbols)
     return Panel(f"{text} [{_printed(shown)}]", curves, plain(title), down=_is_depth(_split(names[0])[1], unit))
+
+
+def _conversion(run: Run, name: str, unit: str, shown: str) -> tuple[float, float]:
+    """Factor and offset from the unit of a signal in a run to the one that is shown, that of `unit` for people.
+
+    Raises StoreError where the signal measures something else in this run.
+    """
+    own = run.units(name)
+    if own == shown:
+        return 1.0, 0.0
+    try:
+        return conversion(own, {}, shown, {})
+    except ValueError as error:
+        raise StoreError(f"{name} is in {own!r} in {run.path}, and in {unit!r} in another run: {error}") from None
 
 
 def _split(name: str) -> tuple[str, str]:

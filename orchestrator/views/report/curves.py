@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...fmu.units import readable
+from ...fmu.units import readable, scale
 from ...metrics import on_circle
-from ...names import split_axis
+from ...names import NU_UNITS, split_axis
 from ...records.compare.vehicles import AXES, Vehicle, formation
 from .. import lines
 from .colours import colours
@@ -149,7 +149,12 @@ def _velocities(fleet: Fleet) -> list[dict[str, Any]]:
     for axis in "uvwpqr":
         unit, factor = ("m/s", 1.0) if axis in "uvw" else ("deg/s", DEG)
         curves = [
-            _curve(fleet, i, vehicle.name, _points(run.time, run[name], run.envelope(name), factor))
+            _curve(
+                fleet,
+                i,
+                vehicle.name,
+                _points(run.time, run[name], run.envelope(name), factor * scale(run.units(name), NU_UNITS[axis])),
+            )
             for i, run, vehicle in _each(fleet)
             if (name := f"{vehicle.name}.nu.{axis}") in run.signals
         ]

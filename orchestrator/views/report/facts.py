@@ -73,20 +73,22 @@ def numbers(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Any]:
 
     words: the columns that are no numbers; footnote: what the daggers mean.
     """
-    specs: dict[str, Mapping[str, Any]] = {}
+    specs: dict[tuple[str, str], Mapping[str, Any]] = {}  # by name and unit
+    values: list[dict[tuple[str, str], str]] = []
     for run in runs:
-        specs |= run.attributes["experiment_resolved"].get("metrics", {})
-    values = [_texts(run.metrics, run.unsampled) for run in runs]
-    units = {name: unit for run in reversed(runs) for name, unit in run.metric_units.items()}
+        own, units = run.attributes["experiment_resolved"].get("metrics", {}), run.metric_units
+        keys = {name: (name, metrics.unit_of(spec, units)) for name, spec in own.items()}
+        specs |= {keys[name]: spec for name, spec in own.items()}
+        values.append({keys[name]: text for name, text in _texts(run.metrics, run.unsampled).items() if name in keys})
     rows, footnotes = [], dict[str, None]()
-    for name in (name for name in specs if any(name in v for v in values)):
-        unit = metrics.unit_of(specs[name], units)
+    for key in (key for key in specs if any(key in v for v in values)):
+        name, unit = key
         marks = [
-            run.standing.marks_of(specs[name]["of"]) if name in v else () for run, v in zip(runs, values, strict=True)
+            run.standing.marks_of(specs[key]["of"]) if key in v else () for run, v in zip(runs, values, strict=True)
         ]
-        shown = [v.get(name, "") + DAGGER * bool(m) for v, m in zip(values, marks, strict=True)]
+        shown = [v.get(key, "") + DAGGER * bool(m) for v, m in zip(values, marks, strict=True)]
         footnotes |= {f"{run.run_id} {', '.join(m)}": None for run, m in zip(runs, marks, strict=True) if m}
-        rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[name])])
+        rows.append([name, *shown, "" if unit == "1" else unit, _meaning(specs[key])])
     until = [f" until {run.ended_at:.6g} s" if run.ended_early and run.metrics else "" for run in runs]
     values_of = [f"{label}{end}" for label, end in zip(labels if len(runs) > 1 else ["value"], until, strict=True)]
     heads = ["metric", *values_of, "unit", "of"]

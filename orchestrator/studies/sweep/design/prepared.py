@@ -231,12 +231,19 @@ def _plans(experiment: Experiment, spec: SweepSpec, packaging: str, report: Repo
 
 
 def _columns(plans: Sequence[Plan]) -> list[Column]:
-    units: dict[str, str] = {}
-    angles: set[str] = set()
-    for plan in plans:
-        units |= plan.units
-        angles |= plan.angles
-    return [Column.of_spec(name, spec, units, angles) for name, spec in plans[0].experiment.metrics.items()]
+    """Raises ExperimentError where a metric has not the same unit in every combination."""
+    angles = {name for plan in plans for name in plan.angles}
+    columns, problems = [], []
+    for name, spec in plans[0].experiment.metrics.items():
+        of = dict.fromkeys(Column.of_spec(name, spec, plan.units, angles) for plan in plans)
+        columns.append(next(iter(of)))
+        if len(of) > 1:
+            units = " and in ".join(repr(column.unit or "1") for column in of)
+            sentence = f"is in {units}, by what the FMUs that vary declare; say in which: unit = ..."
+            problems.append(Problem(f"metrics.{name}", sentence))
+    if problems:
+        raise ExperimentError(plans[0].experiment.path, problems)
+    return columns
 
 
 def _dropped(experiment: Experiment, spec: SweepSpec) -> list[str]:
