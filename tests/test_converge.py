@@ -94,6 +94,21 @@ def test_an_error_is_negligible_beside_its_quantity_in_any_unit_recorded_or_not(
     assert answer.json["metrics"]["small"]["error"] > 0.4 * answer.json["metrics"]["small"]["values"]["0.001"]
 
 
+def test_what_never_happens_is_no_missing_number(orch, inverse):
+    time = {"of": "convergence_time", "after": 0.004}
+    metrics = {
+        "coarse": {**time, "signal": "model.y", "band": 3e-7},
+        "none": {**time, "signal": "model.z.b", "band": 0.5},
+    }
+    answer = orch("converge", inverse(**metrics), "--steps", "4e-3,1e-3")
+    assert answer.code == 1
+    rows = {line.split()[0]: line.split() for line in answer.out.splitlines() if line.strip()}
+    assert rows["coarse"][1:4] == ["0.004", "never", "never"]
+    assert rows["coarse"][-2:] == ["not", "converged"]
+    assert rows["none"][1:4] == ["never"] * 3
+    assert rows["none"][-1] != "converged"
+
+
 def test_what_counts_changes_gets_no_order(orch, inverse, short, write):
     metrics = {"turns": {"of": "total_variation", "signal": "model.n"}}
     answer = orch("converge", inverse(**metrics), "--steps", "4e-3,1e-3", "--json")

@@ -202,6 +202,9 @@ def test_runs_that_ended_early_or_warned_are_marked_in_the_list(orch, store, tmp
         file.attrs["metrics"], file.attrs["metrics_never"] = json.dumps({"far": None}), json.dumps(["far"])
     with h5py.File(tmp_path / second["file"], "r+") as file:
         file.attrs["warnings"], file.attrs["warning_kinds"] = json.dumps(["it is wrong"]), json.dumps(["unstable"])
+    assert [run["run_id"] for run in listed(orch, "--where", "metrics.far > 5")] == [first["run_id"]]
+    last = listed(orch, "--experiment", "sea", "--sort", "metrics.far", "--reverse")[0]
+    assert last["run_id"] == first["run_id"]
     text = orch("list", "--experiment", "sea", "--columns", "metrics.far").out
     assert text.count("completed†") == 2
     lines = {line.split()[0]: line.split() for line in text.splitlines()}

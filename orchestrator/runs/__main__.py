@@ -2,7 +2,7 @@
 
 JOB is a pickled dictionary: "plan", a Plan; "results", the store; "command", the command line that the record names.
 RESULT.json holds `run_id`, `file`, `status`, `wall_time`, `metrics`, `warnings` and `error`, or `error` alone where
-nothing was started.  The exit code is that of `orch run`.
+nothing was started.  Metrics may be NaN and Infinity, as Python's json has them.  The exit code is that of `orch run`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import sys
 from typing import Any
 
 from ..errors import OrchError
-from ..metrics import finite
 from .runner import execute
 
 EXIT_CODES = {"completed": 0, "failed": 3, "interrupted": 130}
@@ -32,7 +31,7 @@ def run(job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
         "file": str(result.file),
         "status": result.status,
         "wall_time": result.wall_time,
-        "metrics": finite(result.metrics),
+        "metrics": dict(result.metrics),
         "warnings": list(result.warnings),
         "error": result.error,
     }

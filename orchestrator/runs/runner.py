@@ -102,7 +102,7 @@ def execute(
     force = force or not all(path.is_file() for path in due.values())
     added: list[str] = []
     if output is None and not force and _status(final) == "completed":
-        added = _not_stored(final, plan)
+        added = not_stored(final, plan)
         if not added:
             return _recall(run_id, final, plan)
     _refuse_second_writer(final)
@@ -111,7 +111,7 @@ def execute(
         path = _beside(final) if final.exists() else final
         _refuse_second_writer(final)  # one may have begun since, or even ended; one that begins now finds `path` taken
         if output is None and not force and _status(final) == "completed":
-            added = _not_stored(final, plan)
+            added = not_stored(final, plan)
             if not added:
                 return _recall(run_id, final, plan)
         saver = CheckpointObserver(system, run_id, due)
@@ -185,7 +185,7 @@ def _recall(run_id: str, path: Path, plan: Plan) -> RunResult:
         )
 
 
-def _not_stored(path: Path, plan: Plan) -> list[str]:
+def not_stored(path: Path, plan: Plan) -> list[str]:
     """The metrics that a completed record does not have with the definition that they have in the plan."""
     with Run(path) as record:
         stored, definitions = record.metrics, record.resolved.get("metrics", {})

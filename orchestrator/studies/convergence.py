@@ -46,9 +46,9 @@ class MetricConvergence:
     def converged(self, own: float) -> bool:
         """Whether the estimated error is small against the metric or against its quantity.
 
-        A metric that has no value at any step, as a time that is never reached, is the same at all of them.
+        A metric that has no value at any step, or is the time of what never happens at any, is the same at all of them.
         """
-        if all(math.isnan(value) for value in self.values.values()):
+        if len(set(map(repr, self.values.values()))) == 1:
             return True
         size = max(abs(self.limit), abs(self.values[own]))
         return math.isfinite(self.error) and self.error <= max(TOLERANCE * size, self.negligible)
@@ -94,7 +94,7 @@ def study(
         warnings = tuple(record.warnings)
     metrics = []
     for name, spec in plan.experiment.metrics.items():
-        values = {step: _number(by_step[step]["metrics"][name]) for step in chosen}
+        values = {step: float(by_step[step]["metrics"][name]) for step in chosen}
         metrics.append(assess(name, unit_of(spec, plan.units), values, own, METRICS[spec["of"]].counts))
     small = _negligible(plan, [m.name for m in metrics if math.isfinite(m.error) and not m.converged(own)], report)
     metrics = [replace(metric, negligible=small.get(metric.name, 0.0)) for metric in metrics]
@@ -173,7 +173,7 @@ def _magnitudes(plan: Plan, signals: Sequence[str], report: Report) -> dict[str,
     with tempfile.TemporaryDirectory(prefix="orch-") as folder:
         command = processes.command_of("magnitudes of signals", measuring, folder)
         (ended,) = processes.run_plans([command], CommandProgress(1, report))
-    return {name: _number(value) for name, value in ended["metrics"].items()}
+    return dict(ended["metrics"])
 
 
 def assess(name: str, unit: str, values: Mapping[float, float], own: float, counts: bool = False) -> MetricConvergence:
@@ -241,7 +241,7 @@ def report(study: ConvergenceStudy) -> str:
     steps = [terminal.tied(f"{step:g} s{'*' if step == study.own else ''}") for step in study.steps]
     rows = [["metric", *steps, "order", "error*", ""]]
     for metric in study.metrics:
-        values = [f"{metric.values[step]:.5g}" for step in study.steps]
+        values = ["never" if metric.values[step] == math.inf else f"{metric.values[step]:.5g}" for step in study.steps]
         order = "-" if math.isnan(metric.order) else f"{metric.order:.2g}"
         error = terminal.tied(f"{metric.error:.2g} {metric.unit}".strip())
         rows.append([metric.name, *values, order, error, "" if metric.converged(study.own) else "not converged"])
@@ -278,10 +278,6 @@ def _vector(signal: str) -> tuple[str, str]:
     """Component and variable of a signal, without its axis."""
     component, _, variable = signal.partition(".")
     return component, split_axis(variable)[0]
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _finite(value: float) -> float | None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import OrchError, did_you_mean
-from ..file.marks import COMPLETED, DAGGER, EARLY
+from ..file.marks import DAGGER, EARLY
 from . import index, query
 from .query import Facts
 
@@ -90,17 +90,10 @@ def cells(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[Any, ...]
     Raises OrchError for a name that none has.
     """
     for name in columns:
-        if runs and name not in (*COLUMNS, MARKS) and all(_value(run, name) is None for run in runs):
+        if runs and name not in (*COLUMNS, MARKS) and all(query.lookup(run, name) is None for run in runs):
             metrics = sorted({f"metrics.{metric}" for run in runs for metric in run["metrics"]})
             raise OrchError(f"--columns: no run has {name!r}{did_you_mean(name, metrics, 'there are')}")
-    return [tuple(_value(run, name) for name in columns) for run in runs]
-
-
-def _value(run: Facts, name: str) -> Any:
-    metric = name.removeprefix("metrics.")
-    if metric != name and metric in (run.get("metrics_never") or ()) and run["status"] == COMPLETED:
-        return math.inf
-    return query.lookup(run, name)
+    return [tuple(query.lookup(run, name) for name in columns) for run in runs]
 
 
 def table(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[str, ...]]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import fnmatch
+import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -177,7 +178,10 @@ def lookup(run: Facts, name: str) -> Any:
     """The value of a dotted name, None where there is none; keys may themselves have dots, as in parameters.K_p.z.
 
     A run that did not complete has no metrics here: theirs are of a part of the time, and a short run is no good one.
+    A metric that is the time of what never happens is inf.
     """
+    if name.removeprefix("metrics.") in _never(run) and name.startswith("metrics."):
+        return math.inf
     if name in run:
         return run[name]
     for i in range(len(name) - 1, 0, -1):
@@ -187,6 +191,10 @@ def lookup(run: Facts, name: str) -> Any:
         if isinstance(below, Mapping) and (value := lookup(below, name[i + 1 :])) is not None:
             return value
     return None
+
+
+def _never(run: Facts) -> Sequence[str]:
+    return (run.get("metrics_never") or ()) if run.get("status", "completed") == "completed" else ()
 
 
 def _names(run: Facts, above: str = "") -> Iterable[str]:

@@ -12,6 +12,7 @@ from ....plan.plan import Plan
 from ....records.file.run import Run
 from ....records.store.folder import Store
 from ....runs.prepare import Report, build_models
+from ....runs.runner import not_stored
 from ... import processes
 from ...progress import CommandProgress
 from .chapter5 import CASES, Case
@@ -46,13 +47,13 @@ def run_cases(cases: Sequence[Case], results: str | Path, report: Report) -> lis
 
 
 def _completed(store: Store, plan: Plan) -> Path | None:
-    """The completed record of a plan, None where it has to run."""
+    """The completed record of a plan with all of its metrics, None where it has to run."""
     _, path = store.place(plan.experiment.path.stem, plan.digest)
     if not path.exists():
         return None
     try:
         with Run(path) as run:
-            return path if run.status == "completed" else None
+            return path if run.status == "completed" and not not_stored(path, plan) else None
     except (StoreError, KeyError):
         return None
 
