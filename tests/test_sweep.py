@@ -27,6 +27,7 @@ from orchestrator.errors import ExperimentError
 from orchestrator.experiment.sweep import read
 from orchestrator.studies.sweep.design.matrix import points
 from orchestrator.studies.sweep.engine.table import read as read_table
+from orchestrator.studies.sweep.results import analysis, figures
 
 FMU = "components.controller.fmu"
 FAST = "components.current.parameters.velocity"
@@ -744,6 +745,29 @@ def test_contenders_whose_metric_is_not_the_same_have_no_best(orch, tmp_path, ke
     summaries, statistics = statistics_of(orch)
     assert not any(s["best"] for s in summaries.values())
     assert any("not one metric for all, since " in note for note in statistics["notes"])
+
+
+def test_draws_that_meet_several_lists_are_said_to_be_no_independent_ones(orch, tmp_path):
+    step = "components.vehicle.parameters.d"
+    runs = [{FMU: n, step: d, MASS: m, "draw": m - 8, "rmse": m * d} for m in (8, 9, 10) for n in "ab" for d in (1, 2)]
+    known(tmp_path, runs, lists=[[[FMU], [["a"], ["b"]]], [[step], [[1], [2]]]])
+    notes = statistics_of(orch)[1]["notes"]
+    assert any(note.startswith("each draw counts once for every value of vehicle.d: runs that share") for note in notes)
+    by_step = orch("compare", "--sweep", "last", "--by", "vehicle.d", "--json").json["notes"]
+    assert any(note.startswith("each draw counts once for every value of controller.fmu: ") for note in by_step)
+
+
+def test_figures_count_the_draws_that_have_no_number(orch, tmp_path):
+    values = [9.0 + k if k < 13 else math.inf for k in range(20)]
+    known(tmp_path, duel([10.0 + k for k in range(20)], values), of="settling_time", unit="s")
+    for kind in ("box", "ecdf", "heatmap"):
+        over = ("--over", "vehicle.m", "--over", "controller.fmu") if kind == "heatmap" else ()
+        answer = orch("compare", "--sweep", "last", "--plot", "f.svg", "--kind", kind, *over)
+        assert answer.code == 0, answer.err
+        assert "b 13/20" in (tmp_path / "f.svg").read_text(encoding="utf-8")
+    analysed = analysis.analyse(read_table(str(tmp_path / "results"), "known-0123456789"))
+    (axes,) = figures.figure(analysed, "ecdf").axes
+    assert [line.get_ydata().max() for line in axes.lines] == [1.0, 13 / 20]
 
 
 def test_errors_of_either_sign_are_ranked_by_their_size(orch, tmp_path):

@@ -67,16 +67,20 @@ def compare(
     orch compare --sweep last --metrics 'rmse_*' -o table.md
     orch compare --sweep last --plot winds.png --kind heatmap --over velocity.x --over velocity.y
 
-    The best is the number nearest to zero among completed runs, at the four digits of the tables: of errors (rmse, rms,
-    iae, ise, itae, max_abs, overshoot, and final with a reference), times (settling_time, convergence_time) and effort
+    The best is the number nearest to zero, at the four digits of the tables: of errors (rmse, rms, iae, ise, itae,
+    max_abs, overshoot, and final with a reference), times (settling_time, convergence_time) and effort
     (total_variation, energy, mean_power).  Nothing is best of distance, heading_difference, and final without a
-    reference, nor where all runs are equal.  A run without a metric has an empty cell there.
+    reference, nor where all runs are equal.  A dagger marks numbers that are not compared: of a run that did not
+    complete, that an FMU ended early, or that warned that its numbers are wrong.  Runs have no best metric if their
+    step, window or definition of it is not the same, or if one of them goes on from another checkpoint.  A run without
+    a metric has an empty cell there.
 
     Where there are more metrics than runs, the runs stand beside each other; CSV always has one line a run, in full
     precision.  LaTeX is for booktabs and siunitx.
 
-    Of a sweep: mean, standard deviation, median and 95 % bootstrap interval of each contender; each pair of them, draw
-    by draw, by Wilcoxon's signed-rank test, Holm-corrected, with the rank-biserial correlation as effect size.
+    Of a sweep: mean, standard deviation, median and 95 % bootstrap interval of each contender, and in how many draws it
+    has a number; each pair of them, draw by draw, by Wilcoxon's signed-rank test, Holm-corrected, with the
+    rank-biserial correlation as effect size.  docs/sweeps.md says what is compared and what is not.
     """
     if sweep is not None:
         if runs or signals:

@@ -182,7 +182,10 @@ def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> Sweep
         ],
         failures=failures,
         footnotes=_footnotes(summaries),
-        notes=[*_notes(failures, table), *_counts(table, runs, summaries, columns, differs)],
+        notes=[
+            *_notes(failures, table),
+            *_counts(table, table.labels[group[0]] if group else "", runs, summaries, columns, differs),
+        ],
         runs=runs,
         outcomes=outcomes,
         unlike=set(differs),
@@ -309,6 +312,7 @@ def _footnotes(summaries: Sequence[ContenderSummary]) -> list[str]:
 
 def _counts(
     table: SweepTable,
+    group: Sequence[str],
     runs: Mapping[str, Mapping[Draw, Mapping[str, Any]]],
     summaries: Sequence[ContenderSummary],
     columns: Sequence[Column],
@@ -316,6 +320,12 @@ def _counts(
 ) -> list[str]:
     """Draws that count less, or for nothing, and metrics that are not one metric."""
     notes = []
+    crossed = [keys for keys in table.groups if keys != group and len({cells(row, keys) for row in table.rows}) > 1]
+    if crossed and len({row["draw"] for row in table.rows}) > 1:
+        words = "runs that share a draw are not independent, and intervals and p-values are too small"
+        notes.append(
+            f"each draw counts once for every value of {', '.join(table.labels[keys[0]] for keys in crossed)}: {words}"
+        )
     ended = sum(row["status"] != MISSING for row in table.rows)
     distinct = sum(map(len, runs.values()))
     if distinct < ended:

@@ -144,7 +144,7 @@ def _heatmaps(analysis: SweepAnalysis, one: str, other: str) -> Figure:
         for axis, name, cell in zip(axes[i], analysis.contenders, cells, strict=True):
             image = axis.imshow(cell, origin="lower", aspect="auto", vmin=low, vmax=high, cmap="viridis")
             axis.plot(*np.argwhere(np.isposinf(cell)).T[::-1], "x", color="C3", markersize=5)
-            axis.set_title(name if i == 0 else "", fontsize=9)
+            axis.set_title(_name(analysis, name, column), fontsize=9)
             axis.set_xticks(range(len(sorts[0][1])), sorts[0][1], rotation=60, fontsize=6)
             axis.set_yticks(range(len(sorts[1][1])), sorts[1][1], fontsize=6)
             if i == down - 1:
@@ -220,9 +220,10 @@ def _parallel(analysis: SweepAnalysis) -> Figure:
     drawn = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
     axis = drawn.subplots()
     for i, (contender, lines) in enumerate(data.items()):
+        label = contender + DAGGER * any(s.marks for s in analysis.summaries if s.contender == contender)
         for k, line in enumerate(np.where(np.isfinite(lines), lines, np.nan)):
             scaled = [(v - low) / (high - low or 1.0) for v, (low, high) in zip(line, ranges, strict=True)]
-            axis.plot(scaled, color=f"C{i}", alpha=0.25, linewidth=0.7, label=contender if k == 0 else None)
+            axis.plot(scaled, color=f"C{i}", alpha=0.25, linewidth=0.7, label=label if k == 0 else None)
     shown = [f"{name}\n{low:.3g} .. {high:.3g}" for name, (low, high) in zip(names, ranges, strict=True)]
     axis.set_xticks(range(len(names)), shown, rotation=40, ha="right", fontsize=7)
     axis.set_yticks([])

@@ -18,7 +18,10 @@ from .outcomes import NEVER
 NO_NUMBER = "-"
 LOOSE = " ‡"  # of intervals of few draws
 FEWER = " §"  # of a contender that is smaller where it has a number, and has one in fewer draws
-BEST = "least mean on common draws, where no other has a number in more draws; whether by chance, the tests say"
+BEST = (
+    f"least mean on common draws of those without {DAGGER}, where no other has a number in more draws; "
+    "whether by chance, the tests say"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
