@@ -323,6 +323,18 @@ def test_a_joystick_that_falls_silent_is_neutral_while_an_override_lasts(flight,
     flight(script, 0.2)
 
 
+def test_a_station_that_does_not_steer_learns_why_its_sticks_do_nothing(flight):
+    def script(station):
+        station.mav.srcSystem = 200
+        assert override(station, chan5_raw=1700).chan5_raw == 1500
+        assert refused(station, "Sticks of system 200 ignored: SYSID_MYGCS is 255")
+        set_parameter(station, "SYSID_MYGCS", 200)
+        assert override(station, chan5_raw=1700).chan5_raw == 1700
+        yield 0.1
+
+    flight(script, 0.2)
+
+
 # --- Modes ----------------------------------------------------------------------------------------------------------
 
 
@@ -391,6 +403,8 @@ def test_modes_that_are_not_simulated_are_refused_and_the_mode_stays(flight):
         for mode, reason in REFUSED.items():
             assert enter(station, mode) == FAILED
             assert refused(station, f"{mode.name} refused: {reason}")
+        assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 0, FlightMode.MANUAL) == FAILED
+        assert refused(station, "Mode refused: its flag for custom modes is missing")
         assert enter(station, 5) == FAILED
         assert refused(station, "Mode 5 refused: no such mode")
         assert shown(station, "HEARTBEAT").custom_mode == FlightMode.POSHOLD
@@ -580,6 +594,36 @@ def test_the_speed_to_set_points_changes(flight):
     assert flown["pilot/eta_d_dot.x"].max() == pytest.approx(0.3, abs=1e-3)
 
 
+def test_go_to_takes_its_speed_and_refuses_a_height_above_the_ground(flight):
+    def go(frame, speed):
+        return mavlink.MAVLink_command_int_message(
+            **to(),
+            frame=frame,
+            command=mavlink.MAV_CMD_DO_REPOSITION,
+            current=0,
+            autocontinue=0,
+            param1=speed,
+            param2=1,
+            param3=0,
+            param4=math.nan,
+            x=round(44.6502 * 1e7),
+            y=round(-124.05 * 1e7),
+            z=-1.0,
+        )
+
+    def script(station):
+        above_ground = go(mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, 0.2)
+        assert station.ask(above_ground, "COMMAND_ACK").result == DENIED
+        assert refused(station, "Position refused: unknown coordinate frame")
+        assert shown(station, "HEARTBEAT").custom_mode == FlightMode.POSHOLD
+        assert station.ask(go(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 0.2), "COMMAND_ACK").result == ACCEPTED
+        yield 5.0
+
+    flown = flight(script, 5.1)
+    assert flown.at(5.0, "pilot/mode") == FlightMode.GUIDED
+    assert flown["pilot/eta_d_dot.x"].max() == pytest.approx(0.2, abs=0.005)
+
+
 def test_missions_are_refused(flight):
     def script(station):
         text = "Mission refused: no missions yet"
@@ -699,6 +743,30 @@ def test_docs_name_the_parameters_that_have_an_effect():
     assert tuple(re.findall(r"`([^`]+)`", named)) == EFFECTIVE
 
 
+def test_the_status_names_the_controllers_that_are_at_work(flight):
+    bits = {
+        "XY": mavlink.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL,
+        "Z": mavlink.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL,
+        "YAW": mavlink.MAV_SYS_STATUS_SENSOR_YAW_POSITION,
+        "MOTORS": mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS,
+    }
+
+    def enabled(station):
+        status = shown(station, "SYS_STATUS").onboard_control_sensors_enabled
+        return {name for name, bit in bits.items() if status & bit}
+
+    def script(station):
+        assert enabled(station) == {"XY", "Z", "YAW", "MOTORS"}
+        enter(station, FlightMode.ALT_HOLD)
+        assert enabled(station) == {"Z", "YAW", "MOTORS"}
+        enter(station, FlightMode.MANUAL)
+        station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, DISARM)
+        assert enabled(station) == set()
+        yield 0.1
+
+    flight(script, 0.2)
+
+
 # --- What cannot be done --------------------------------------------------------------------------------------------
 
 
@@ -739,6 +807,8 @@ def test_a_vehicle_that_the_experiment_drives_refuses_to_be_steered(spiral, reso
         assert refused(station, f"Position refused: {who}")
         station.send(attitude())
         assert refused(station, f"Set point ignored: {who}")
+        override(station, chan5_raw=1600)
+        assert refused(station, f"Sticks ignored: {who}")
         beat = shown(station, "HEARTBEAT")
         assert beat.custom_mode == FlightMode.GUIDED
         assert beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED

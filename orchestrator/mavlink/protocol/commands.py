@@ -22,6 +22,13 @@ UNAVAILABLE = 0  # us, in MESSAGE_INTERVAL; DISABLED likewise
 
 WARNING = mavlink.MAV_SEVERITY_WARNING
 SLOWEST_TURN, FASTEST_TURN = 1.0, 360.0  # degrees/s, the limits in CONDITION_YAW
+NO_CUSTOM_MODE = "Mode refused: its flag for custom modes is missing"
+GLOBAL_FRAMES = (  # home and sea level are both at the origin
+    mavlink.MAV_FRAME_GLOBAL,
+    mavlink.MAV_FRAME_GLOBAL_INT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
 NOT_STEERED = "the experiment drives this"  # vehicle; a STATUSTEXT has 50 characters
 
 Answer = tuple[int, Sequence[Message]]  # MAV_RESULT, and the messages that follow the COMMAND_ACK
@@ -35,9 +42,13 @@ class Announce(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """parameters: seven, 5 and 6 in degrees if they are a place.  now: monotonic [s].  wall: Unix time [s]."""
+    """parameters: seven, 5 and 6 in degrees if they are a place.  frame: MAV_FRAME of the place, None if it has none.
+
+    now: monotonic [s].  wall: Unix time [s].
+    """
 
     parameters: Sequence[float]
+    frame: int | None
     now: float
     wall: float
     announce: Announce
@@ -119,6 +130,7 @@ def arm_or_disarm(autopilot: Autopilot, armed: bool, announce: Announce) -> bool
 def set_mode(command: Command, channel: VehicleChannel) -> Answer:
     flags, mode = command.whole(1), command.whole(2)
     if flags is None or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or mode is None:
+        command.announce(channel.autopilot, NO_CUSTOM_MODE, WARNING)
         return FAILED, []
     return _entered(command, channel, mode)
 
@@ -209,8 +221,8 @@ def cannot(reason: str) -> Callable[[Command, VehicleChannel], Answer]:
 
 
 def reposition(command: Command, channel: VehicleChannel) -> Answer:
-    """Go to a place, in mode GUIDED from then on."""
-    autopilot = channel.autopilot
+    """Go to a place, in mode GUIDED from then on, at a speed if that is positive."""
+    autopilot, speed = channel.autopilot, command.parameters[0]
     latitude, longitude, altitude = command.parameters[4:7]
     if autopilot.control is None:
         command.announce(autopilot, f"Position refused: {NOT_STEERED}", WARNING)
@@ -219,7 +231,12 @@ def reposition(command: Command, channel: VehicleChannel) -> Answer:
         return FAILED, []
     if abs(latitude) > 90 or abs(longitude) > 180:
         return DENIED, []
+    if command.frame not in (None, *GLOBAL_FRAMES):
+        command.announce(autopilot, "Position refused: unknown coordinate frame", WARNING)
+        return DENIED, []
     change_mode(autopilot, FlightMode.GUIDED, command.announce)
+    if 0 < speed < math.inf:
+        autopilot.control.speed = speed
     yaw = command.parameters[3]
     north, east = to_ned(autopilot.origin, latitude, longitude)
     autopilot.control.set_point = SetPoint(
@@ -243,6 +260,7 @@ COMMANDS: dict[int, Callable[[Command, VehicleChannel], Answer]] = {
     mavlink.MAV_CMD_CONDITION_YAW: turn,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: change_speed,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
+    mavlink.MAV_CMD_DO_MOTOR_TEST: cannot("Motor test refused: not simulated"),
     mavlink.MAV_CMD_DO_SET_HOME: cannot("Home stays the origin of the experiment"),
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: cannot("A simulated vehicle is not rebooted"),
     mavlink.MAV_CMD_NAV_TAKEOFF: cannot("A submarine does not take off"),

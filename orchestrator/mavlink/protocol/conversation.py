@@ -13,7 +13,7 @@ from ..vehicle.autopilot import Autopilot
 from ..vehicle.parameters import AutopilotParameter, ParameterType, has_effect
 from ..vehicle.sample import E7
 from . import steering, telemetry
-from .commands import ACCEPTED, DENIED, FAILED, WARNING, Announce, Command, carry_out, change_mode
+from .commands import ACCEPTED, DENIED, FAILED, NO_CUSTOM_MODE, WARNING, Announce, Command, carry_out, change_mode
 from .dialect import AUTOPILOT, Message, mavlink
 from .station import VehicleChannel
 
@@ -52,14 +52,16 @@ class Conversation:
 
     def _command_long(self, channel: VehicleChannel, request: Message, now: float) -> None:
         parameters = [getattr(request, f"param{n}") for n in range(1, 8)]
-        self._command(channel, request, parameters, now)
+        self._command(channel, request, parameters, None, now)
 
     def _command_int(self, channel: VehicleChannel, request: Message, now: float) -> None:
         first = [getattr(request, f"param{n}") for n in range(1, 5)]
-        self._command(channel, request, [*first, request.x / E7, request.y / E7, request.z], now)
+        self._command(channel, request, [*first, request.x / E7, request.y / E7, request.z], request.frame, now)
 
-    def _command(self, channel: VehicleChannel, request: Message, parameters: list[float], now: float) -> None:
-        command = Command(parameters=parameters, now=now, wall=time.time(), announce=self._announce)
+    def _command(
+        self, channel: VehicleChannel, request: Message, parameters: list[float], frame: int | None, now: float
+    ) -> None:
+        command = Command(parameters=parameters, frame=frame, now=now, wall=time.time(), announce=self._announce)
         result, messages = carry_out(request.command, command, channel)
         self._acknowledge(channel, request, request.command, result)
         channel.send(*messages)
@@ -77,6 +79,8 @@ class Conversation:
         if request.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             entered = change_mode(channel.autopilot, request.custom_mode, self._announce)
             result = ACCEPTED if entered else FAILED
+        else:
+            self._announce(channel.autopilot, NO_CUSTOM_MODE, WARNING)
         self._acknowledge(channel, request, mavlink.MAVLINK_MSG_ID_SET_MODE, result)
 
     def _data_stream(self, channel: VehicleChannel, request: Message, now: float) -> None:
@@ -158,11 +162,11 @@ class Conversation:
         channel.send(mavlink.MAVLink_ping_message(time_usec=request.time_usec, seq=request.seq, **_to_sender(request)))
 
     def _manual_control(self, channel: VehicleChannel, request: Message, now: float) -> None:
-        if self._is_pilot(channel, request) and request.target == channel.autopilot.system:
-            self._pilot(channel).manual_control(request, now, self._announce)
+        if request.target == channel.autopilot.system and self._is_pilot(channel, request, now):
+            self._refuse(channel, self._pilot(channel).manual_control(request, now, self._announce), now)
 
     def _override(self, channel: VehicleChannel, request: Message, now: float) -> None:
-        if self._is_pilot(channel, request):
+        if self._is_pilot(channel, request, now):
             self._refuse(channel, self._pilot(channel).channels(request, now), now)
 
     def _set_point(self, channel: VehicleChannel, request: Message, now: float) -> None:
@@ -178,8 +182,12 @@ class Conversation:
     def _pilot(self, channel: VehicleChannel) -> steering.Pilot:
         return self._pilots.setdefault(channel.autopilot.system, steering.Pilot(channel.autopilot))
 
-    def _is_pilot(self, channel: VehicleChannel, request: Message) -> bool:
-        return bool(request.get_srcSystem() == channel.autopilot.parameters["SYSID_MYGCS"])
+    def _is_pilot(self, channel: VehicleChannel, request: Message, now: float) -> bool:
+        """Whether the sticks are those of the station that steers; others are told, unlike by ArduSub."""
+        sender, pilot = request.get_srcSystem(), round(channel.autopilot.parameters["SYSID_MYGCS"])
+        if sender != pilot:
+            self._refuse(channel, f"Sticks of system {sender} ignored: SYSID_MYGCS is {pilot}", now)
+        return bool(sender == pilot)
 
 
 HANDLERS: dict[str, Callable[[Conversation, VehicleChannel, Message, float], None]] = {

@@ -15,7 +15,7 @@ from ..vehicle.frame import REST, SPAN
 from ..vehicle.modes import FlightMode
 from ..vehicle.parameters import ButtonFunction
 from ..vehicle.sample import E7, to_ned
-from .commands import Announce, arm_or_disarm, change_mode
+from .commands import GLOBAL_FRAMES, NOT_STEERED, Announce, arm_or_disarm, change_mode
 from .dialect import Message, mavlink
 
 FULL_AXIS = 1000  # of MANUAL_CONTROL: x, y, r, s and t in -1000..1000, z in 0..1000
@@ -55,16 +55,11 @@ IGNORE_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 IGNORE_THROTTLE = mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
 BODY_FRAMES = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED, mavlink.MAV_FRAME_BODY_FRD)
 FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_OFFSET_NED, *BODY_FRAMES)
-GLOBAL_FRAMES = (  # home and sea level are both at the origin
-    mavlink.MAV_FRAME_GLOBAL,
-    mavlink.MAV_FRAME_GLOBAL_INT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-)
 ATTITUDE_MODES = (FlightMode.ALT_HOLD, FlightMode.STABILIZE, FlightMode.GUIDED)
 
 # Why a set point is not followed; a STATUSTEXT has 50 characters.
-NOT_STEERED = "Set point ignored: the experiment drives this"
+NO_SET_POINTS = f"Set point ignored: {NOT_STEERED}"
+NO_STICKS = f"Sticks ignored: {NOT_STEERED}"
 NONSENSE = "Set point ignored: its values make no sense"
 NO_FRAME = "Set point ignored: unknown coordinate frame"
 NOTHING = "Set point ignored: its type_mask leaves nothing"
@@ -77,11 +72,12 @@ class Pilot:
     def __init__(self, autopilot: Autopilot):
         self._autopilot, self._buttons = autopilot, 0
 
-    def manual_control(self, message: Message, now: float, announce: Announce) -> None:
-        """MANUAL_CONTROL.  An axis beyond its range is neutral."""
+    def manual_control(self, message: Message, now: float, announce: Announce) -> str:
+        """MANUAL_CONTROL; returns why it does not count, or "".  An axis beyond its range is neutral."""
         autopilot, control = self._autopilot, self._autopilot.control
         if control is None:
-            return
+            neutral = (message.x, message.y, message.z, message.r) == (0, 0, NEUTRAL_Z, 0)
+            return "" if neutral else NO_STICKS
         self._press((message.buttons & 0xFFFF) | (getattr(message, "buttons2", 0) & 0xFFFF) << 16, announce)
         throttle = control.gain * autopilot.parameters["JS_THR_GAIN"]
 
@@ -103,15 +99,16 @@ class Pilot:
         pulses = {n: Override(pulse=REST + SPAN * value, at=now, joystick=True) for n, value in demands.items()}
         control.overrides = {**control.overrides, **pulses}
         _end_set_points(control)
+        return ""
 
     def channels(self, message: Message, now: float) -> str:
-        """RC_CHANNELS_OVERRIDE: each channel is overridden, released or left alone; returns what a channel cannot do.
+        """RC_CHANNELS_OVERRIDE: each channel is overridden, released or left alone; returns what does not count, or "".
 
         Pitch, roll, throttle, yaw, forward and lateral are channels 1 to 6.
         """
         control = self._autopilot.control
         if control is None:
-            return ""
+            return NO_STICKS
         overrides, idle = dict(control.overrides), ""
         for n in range(1, CHANNELS + 1):
             pulse = getattr(message, f"chan{n}_raw", 0)
@@ -160,7 +157,7 @@ def local_set_point(autopilot: Autopilot, message: Message, now: float) -> str:
     """
     control, at = autopilot.control, autopilot.latest
     if control is None or at is None:
-        return NOT_STEERED
+        return NO_SET_POINTS
     if autopilot.mode != FlightMode.GUIDED:
         return _wrong_mode(autopilot)
     values = (message.x, message.y, message.z, message.vx, message.vy, message.vz, message.yaw, message.yaw_rate)
@@ -186,7 +183,7 @@ def global_set_point(autopilot: Autopilot, message: Message, now: float) -> str:
     followed, or ""."""
     control, mask = autopilot.control, message.type_mask
     if control is None:
-        return NOT_STEERED
+        return NO_SET_POINTS
     if autopilot.mode not in (FlightMode.GUIDED, FlightMode.ALT_HOLD):
         return _wrong_mode(autopilot)
     values = (message.alt, message.vx, message.vy, message.vz, message.yaw, message.yaw_rate)
@@ -213,7 +210,7 @@ def attitude_target(autopilot: Autopilot, message: Message, now: float) -> str:
     """
     control, mode = autopilot.control, autopilot.mode
     if control is None:
-        return NOT_STEERED
+        return NO_SET_POINTS
     if mode not in ATTITUDE_MODES:
         return f"Attitude ignored in mode {mode.name}"
     if message.type_mask & IGNORE_ATTITUDE:

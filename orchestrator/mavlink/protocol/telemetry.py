@@ -14,7 +14,7 @@ import numpy as np
 from ..vehicle.autopilot import BANNER, HASH, VERSION, Autopilot
 from ..vehicle.control import ALWAYS_SHOWN
 from ..vehicle.frame import REST
-from ..vehicle.modes import FlightMode
+from ..vehicle.modes import MOTIONS, FlightMode
 from ..vehicle.sample import E7, Sample, within, wrapped
 from .dialect import Message, mavlink
 
@@ -49,6 +49,12 @@ SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 )
+CONTROLLERS = {
+    "surge": mavlink.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL,
+    "heave": mavlink.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL,
+    "roll": mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL | mavlink.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION,
+    "yaw": mavlink.MAV_SYS_STATUS_SENSOR_YAW_POSITION,
+}
 EKF_FLAGS = (
     mavlink.EKF_ATTITUDE
     | mavlink.EKF_VELOCITY_HORIZ
@@ -243,10 +249,17 @@ def scaled_pressure3(autopilot: Autopilot, at: Sample, wall: float) -> list[Mess
 
 
 def sys_status(autopilot: Autopilot, at: Sample, wall: float) -> list[Message]:
+    """Enabled are the controllers of the motions that the mode holds, and the motors of an armed vehicle."""
+    enabled, held = SENSORS, autopilot.control.held() if autopilot.control else MOTIONS
+    for motion, controllers in CONTROLLERS.items():
+        if motion not in held:
+            enabled &= ~controllers
+    if not autopilot.armed:
+        enabled &= ~mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
     return [
         mavlink.MAVLink_sys_status_message(
             onboard_control_sensors_present=SENSORS,
-            onboard_control_sensors_enabled=SENSORS,
+            onboard_control_sensors_enabled=enabled,
             onboard_control_sensors_health=SENSORS,
             load=0,
             voltage_battery=SUPPLY,
