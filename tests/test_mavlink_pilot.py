@@ -371,6 +371,22 @@ def test_sticks_drive_the_thrusters_where_the_mode_holds_nothing_and_the_referen
     assert flown.thrusters(1.95) == poshold  # to the bit: nothing is mixed
 
 
+@pytest.mark.parametrize(("algorithm", "delay"), [("gauss-seidel", 0), ("jacobi", 1)])
+def test_commands_that_are_passed_on_are_the_controllers_own(piloted, resolve, tmp_path, algorithm, delay):
+    """To the bit, in the same step where components step one after the other, and in the next one under Jacobi."""
+    table = merged(piloted(0.5), {"master.algorithm": algorithm, "record.every": 0.001})
+
+    def script(station):
+        override(station, chan5_raw=1700)
+        yield 0.4
+
+    flown = fly(resolve(table), script, tmp_path / "run.h5")
+    for n in range(1, 7):
+        asked, given = flown[f"allocation/u.T{n}"], flown[f"pilot_motors/u.T{n}"]
+        assert np.array_equal(given[delay + 1 :], asked[1 : len(asked) - delay])
+    assert np.ptp(flown["pilot_motors/u.T1"]) > 0.01
+
+
 def test_only_poshold_holds_against_a_current_and_only_manual_and_stabilize_lose_the_depth(piloted, resolve, tmp_path):
     """The vehicle floats up and is carried north by 0.3 m/s, the sticks neutral."""
     lost = {}

@@ -20,6 +20,7 @@ from orchestrator.mavlink.components.ardupilot import ArdupilotJson, reply
 from orchestrator.mavlink.components.manual import MavlinkManual
 from orchestrator.mavlink.fleet import fleet
 from orchestrator.mavlink.protocol import steering
+from orchestrator.mavlink.protocol.links import Endpoint
 from orchestrator.mavlink.vehicle.autopilot import Autopilot
 from orchestrator.mavlink.vehicle.control import FORWARD, LATERAL, THROTTLE, YAW, Control, Override, SetPoint
 from orchestrator.mavlink.vehicle.modes import FlightMode
@@ -360,6 +361,8 @@ def test_a_vehicle_is_shown_beside_its_ardupilot_by_another_system_id_and_no_two
     assert shown(0, vehicle=1, other=2) == {"other": 2}
     assert shown(7, vehicle=1, other=2) == {"vehicle": 1, "other": 2}
     assert shown(7, vehicle=7, other=2) == {"other": 2}
+    with pytest.raises(OrchError, match="ArduPilot speaks for the system id 1"):
+        fleet(resolve(flown(9002)), {}, [Endpoint.parse("1=udpin:127.0.0.1:14550")])
     with pytest.raises(OrchError, match=r"mavlink\.vehicles\.other: ArduPilot, .* has the system id 7"):
         shown(7, vehicle=1, other=7)
 

@@ -51,6 +51,9 @@ def fleet(plan: Plan, controls: Mapping[str, Control], endpoints: Sequence[Endpo
                 "each vehicle needs its own"
             )
     for endpoint in endpoints:
+        if endpoint.system in flown.values():
+            what = f"ArduPilot speaks for the system id {endpoint.system}; connect the station to it"
+            raise OrchError(f"--mavlink {endpoint.text}: {what}")
         if endpoint.system not in spec.vehicles.values():
             known = [str(system) for system in spec.vehicles.values()]
             raise OrchError(

@@ -37,7 +37,7 @@ def plan_of(record: Run, report: Callable[[str], None]) -> Plan:
     ran = {component["name"] for component in resolved.get("components", ())}
     plan = resolve(loaded, *build_models(packagings, report), motors=not ran <= {c.name for c in loaded.components})
     if plan.live:
-        recorded = {*resolved["record"]["signals"]}
+        recorded = {*resolved.get("record", {}).get("signals", ())}
         plan = dataclasses.replace(
             plan,
             created=resolved["created"],

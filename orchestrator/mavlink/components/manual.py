@@ -45,12 +45,12 @@ LATER = np.array([0.0, math.nan, 1.0, FlightMode.POSHOLD, *[1.0] * len(MOTIONS),
 
 
 class MavlinkManual:
-    """The reference: position and yaw follow the demanded velocity with a lag; roll and pitch stay level."""
+    """The reference: position, roll and yaw follow what is demanded with a lag; pitch stays level."""
 
     def __init__(self, name: str, parameters: Mapping[str, Any], context: Mapping[str, Any]) -> None:
         """context: {"control": the vehicle's Control}; without it nobody steers.
 
-        Raises OrchError if a parameter is not a positive number.
+        Raises OrchError if a parameter is not a positive number, or a switch not 0 or 1.
         """
         chosen = {key: start for key, (start, *_) in PARAMETERS.items()} | dict(parameters)
         for key, value in chosen.items():
