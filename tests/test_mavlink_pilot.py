@@ -5,6 +5,7 @@ first part has the exchanges of the vendor's example scripts (ArduSub's document
 """
 
 import math
+import random
 import re
 import time
 from pathlib import Path
@@ -21,6 +22,7 @@ from orchestrator.mavlink.components.manual import MavlinkManual
 from orchestrator.mavlink.vehicle.frame import FACTORS
 from orchestrator.mavlink.vehicle.modes import REFUSED, FlightMode
 from orchestrator.mavlink.vehicle.parameters import EFFECTIVE
+from peers.flood import request
 from peers.pilot import fly, fly_with_pymavlink
 from peers.station import to
 
@@ -584,6 +586,8 @@ def test_a_heading_is_taken_as_asked_for_and_at_the_speed_asked_for(flight):
         assert station.command(yaw, 30, 0, -1, 1) == ACCEPTED  # 30 degrees to port from here
         yield 8.0
         assert station.command(yaw, 400, 0, 1, 0) == station.command(yaw, 90, 0, 1, 7) == DENIED
+        assert station.command(yaw, 90, 60, 1, 0) == DENIED
+        assert refused(station, "Heading refused: at most 45.8 deg/s")
         assert enter(station, FlightMode.MANUAL) == ACCEPTED
         assert station.command(yaw, 90, 0, 1, 0) == FAILED
         assert refused(station, "Heading refused: MANUAL holds no heading")
@@ -600,6 +604,8 @@ def test_the_speed_to_set_points_changes(flight):
         speed = mavlink.MAV_CMD_DO_CHANGE_SPEED
         assert station.command(speed, mavlink.SPEED_TYPE_GROUNDSPEED, 0.3) == ACCEPTED
         assert station.command(speed, mavlink.SPEED_TYPE_GROUNDSPEED, -1) == DENIED
+        assert station.command(speed, mavlink.SPEED_TYPE_GROUNDSPEED, 2.5) == DENIED
+        assert refused(station, "Speed refused: at most 1 m/s")
         assert station.command(speed, mavlink.SPEED_TYPE_CLIMB_SPEED, 0.3) == DENIED
         assert refused(station, "Speed refused: only the horizontal speed changes")
         assert enter(station, FlightMode.GUIDED) == ACCEPTED
@@ -849,6 +855,23 @@ def test_a_vehicle_whose_thrusters_are_out_of_reach_is_not_disarmed_nor_driven_b
         yield 0.1
 
     fly(resolve(table), script, tmp_path / "run.h5")
+
+
+def test_requests_that_make_no_sense_leave_the_reference_finite(flight):
+    chance = random.Random(7)
+
+    def script(station):
+        for mode in (FlightMode.GUIDED, FlightMode.ALT_HOLD, FlightMode.STABILIZE, FlightMode.POSHOLD) * 5:
+            enter(station, mode)
+            station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, ARM)
+            for _ in range(20):
+                station.send(request(chance))
+            yield 0.1
+        assert enter(station, FlightMode.POSHOLD) == ACCEPTED
+
+    flown = flight(script, 2.1)
+    assert all(np.isfinite(values).all() for values in flown.values() if values.dtype.kind == "f")
+    assert np.abs(flown["pilot/nu_d.u"]).max() <= 2.0
 
 
 # --- Records --------------------------------------------------------------------------------------------------------

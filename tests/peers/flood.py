@@ -65,7 +65,14 @@ def request(chance):
         mavlink.MAV_CMD_DO_SET_MODE,
         mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
         mavlink.MAV_CMD_DO_REPOSITION,
+        mavlink.MAV_CMD_CONDITION_YAW,
+        mavlink.MAV_CMD_DO_CHANGE_SPEED,
+        mavlink.MAV_CMD_DO_FLIGHTTERMINATION,
+        mavlink.MAV_CMD_NAV_LAND,
+        mavlink.MAV_CMD_NAV_LOITER_UNLIM,
     ]
+    places = dict.fromkeys(("vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0)
+    rates = dict.fromkeys(("body_roll_rate", "body_pitch_rate", "body_yaw_rate"), 0)
     return chance.choice(
         [
             lambda: command_long(chance.choice(commands), *(chance.choice(odd) for _ in range(7))),
@@ -101,6 +108,27 @@ def request(chance):
             ),
             lambda: mavlink.MAVLink_mission_count_message(**to(), count=65535, mission_type=chance.randrange(256)),
             lambda: mavlink.MAVLink_timesync_message(tc1=0, ts1=chance.randrange(2**62)),
+            lambda: mavlink.MAVLink_set_attitude_target_message(
+                **to(),
+                time_boot_ms=0,
+                type_mask=chance.randrange(256),
+                q=[chance.choice(odd) for _ in range(4)],
+                thrust=chance.choice(odd),
+                **rates,
+            ),
+            lambda: mavlink.MAVLink_set_position_target_global_int_message(
+                **to(),
+                time_boot_ms=0,
+                coordinate_frame=chance.randrange(256),
+                type_mask=chance.randrange(1 << 16),
+                lat_int=-(2**31),
+                lon_int=2**31 - 1,
+                alt=chance.choice(odd),
+                **places,
+            ),
+            lambda: mavlink.MAVLink_rc_channels_override_message(
+                **to(), **{f"chan{n}_raw": chance.randrange(1 << 16) for n in range(1, 9)}
+            ),
             lambda: mavlink.MAVLink_manual_control_message(
                 target=1, x=32767, y=-32768, z=32767, r=-32768, buttons=65535
             ),

@@ -198,11 +198,14 @@ class MavlinkManual:
 
 def control_of(parameters: Mapping[str, Any], *, stops: bool = False, mixes: bool = False) -> Control:
     """The Control with which a component of these parameters begins."""
-    disarmed = bool(parameters.get("start_disarmed", 0))
+    chosen = {key: start for key, (start, *_) in PARAMETERS.items()} | dict(parameters)
+    disarmed = bool(chosen["start_disarmed"])
     return Control(
         armed=not disarmed,
         mode=FlightMode.MANUAL if disarmed else FlightMode.POSHOLD,
-        holds_disarmed=bool(parameters.get("hold_disarmed", 0)),
+        holds_disarmed=bool(chosen["hold_disarmed"]),
+        fastest=float(chosen["speed.u"]),
+        quickest=float(chosen["speed.r"]),
         stops=stops,
         mixes=mixes,
     )

@@ -21,7 +21,7 @@ DEFAULT, DISABLED = 0, -1  # us, in SET_MESSAGE_INTERVAL
 UNAVAILABLE = 0  # us, in MESSAGE_INTERVAL; DISABLED likewise
 
 WARNING = mavlink.MAV_SEVERITY_WARNING
-SLOWEST_TURN, FASTEST_TURN = 1.0, 360.0  # degrees/s, the limits in CONDITION_YAW
+SLOWEST_TURN = 1.0  # degrees/s, in CONDITION_YAW
 NO_CUSTOM_MODE = "Mode refused: its flag for custom modes is missing"
 GLOBAL_FRAMES = (  # home and sea level are both at the origin
     mavlink.MAV_FRAME_GLOBAL,
@@ -172,12 +172,15 @@ def turn(command: Command, channel: VehicleChannel) -> Answer:
     autopilot, control = channel.autopilot, channel.autopilot.control
     angle, speed, way, relative = command.parameters[:4]
     at = autopilot.latest
-    if not 0 <= angle <= 360 or relative not in (0, 1) or not math.isfinite(speed):
+    if not 0 <= angle <= 360 or relative not in (0, 1) or not 0 <= speed < math.inf:
         return DENIED, []
     if control is None or at is None or "yaw" not in control.held():
         reason = NOT_STEERED if control is None else f"{autopilot.mode.name} holds no heading"
         command.announce(autopilot, f"Heading refused: {reason}", WARNING)
         return FAILED, []
+    if math.radians(speed) > control.quickest:
+        command.announce(autopilot, f"Heading refused: at most {math.degrees(control.quickest):.3g} deg/s", WARNING)
+        return DENIED, []
     yaw = math.radians(angle)
     if relative:
         yaw = float(at.eta[5]) + (-yaw if way < 0 else yaw)
@@ -185,7 +188,7 @@ def turn(command: Command, channel: VehicleChannel) -> Answer:
         control.set_point or SetPoint(),
         yaw=yaw,
         yaw_rate=None,
-        turn=math.radians(min(max(speed, SLOWEST_TURN), FASTEST_TURN)) if speed else None,
+        turn=math.radians(max(speed, SLOWEST_TURN)) if speed else None,
     )
     return ACCEPTED, []
 
@@ -199,7 +202,7 @@ def change_speed(command: Command, channel: VehicleChannel) -> Answer:
     if kind not in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED):
         command.announce(channel.autopilot, "Speed refused: only the horizontal speed changes", WARNING)
         return DENIED, []
-    if not 0 < speed < math.inf:
+    if not speed > 0 or _is_too_fast(command, channel, speed):
         return DENIED, []
     control.speed = speed
     return ACCEPTED, []
@@ -234,8 +237,10 @@ def reposition(command: Command, channel: VehicleChannel) -> Answer:
     if command.frame not in (None, *GLOBAL_FRAMES):
         command.announce(autopilot, "Position refused: unknown coordinate frame", WARNING)
         return DENIED, []
+    if speed > 0 and _is_too_fast(command, channel, speed):
+        return DENIED, []
     change_mode(autopilot, FlightMode.GUIDED, command.announce)
-    if 0 < speed < math.inf:
+    if speed > 0:
         autopilot.control.speed = speed
     yaw = command.parameters[3]
     north, east = to_ned(autopilot.origin, latitude, longitude)
@@ -267,6 +272,15 @@ COMMANDS: dict[int, Callable[[Command, VehicleChannel], Answer]] = {
     mavlink.MAV_CMD_MISSION_START: cannot("Mission refused: no missions yet"),
     mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: cannot("Mission refused: no missions yet"),
 }
+
+
+def _is_too_fast(command: Command, channel: VehicleChannel, speed: float) -> bool:
+    """Whether a horizontal speed [m/s] is more than the reference goes, which is announced."""
+    autopilot = channel.autopilot
+    if autopilot.control is None or speed <= autopilot.control.fastest:
+        return False
+    command.announce(autopilot, f"Speed refused: at most {autopilot.control.fastest:.3g} m/s", WARNING)
+    return True
 
 
 def _entered(command: Command, channel: VehicleChannel, mode: int) -> Answer:

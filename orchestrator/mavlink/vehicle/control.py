@@ -5,6 +5,7 @@ The bridge's thread writes, the loop reads; each value is replaced as a whole, s
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -57,7 +58,8 @@ class Control:
     """The steering of one vehicle.
 
     stops: whether its thrusters can be stopped, for their commands come through orch's own component; mixes: whether
-    that component also knows its frame, and so can drive them by the sticks.
+    that component also knows its frame, and so can drive them by the sticks.  fastest, quickest: the largest horizontal
+    speed [m/s] and yaw rate [rad/s] of the reference.
     """
 
     def __init__(
@@ -68,9 +70,12 @@ class Control:
         holds_disarmed: bool = False,
         stops: bool = False,
         mixes: bool = False,
+        fastest: float = math.inf,
+        quickest: float = math.inf,
     ) -> None:
         self.armed, self.mode = armed, mode
         self.holds_disarmed, self.stops, self.mixes = holds_disarmed, stops, mixes
+        self.fastest, self.quickest = fastest, quickest
         self.parameters: AutopilotParameters | None = None  # of the autopilot that shows the vehicle
         self.overrides: Mapping[int, Override] = {}  # by input channel, from 1
         self.set_point: SetPoint | None = None
