@@ -184,7 +184,7 @@ def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> Sweep
         footnotes=_footnotes(summaries),
         notes=[
             *_notes(failures, table),
-            *_counts(table, table.labels[group[0]] if group else "", runs, summaries, columns, differs),
+            *_counts(table, group, runs, summaries, columns, differs),
         ],
         runs=runs,
         outcomes=outcomes,
