@@ -126,6 +126,13 @@ def drawn(sweep):
     return [str(point.cells) for point in points(replace(sweep, lists=()))]
 
 
+def test_a_distribution_that_is_none_is_a_problem_of_a_search_too(orch, tuning, write):
+    tuning["sweep"]["vary"]["components.vehicle.parameters.m"] = {"distribution": "uniform", "low": 9.0}
+    answer = orch("tune", write(tuning))
+    assert answer.code == 2
+    assert 'sweep.vary."components.vehicle.parameters.m".high: is missing' in answer.err
+
+
 def test_a_search_that_cannot_hold_draws_out_is_refused(orch, tuning, write, tmp_path):
     tuning["sweep"]["vary"] = {
         FMU: ["pid", "lyapunov"],
@@ -144,14 +151,17 @@ def test_a_search_that_cannot_hold_draws_out_is_refused(orch, tuning, write, tmp
 
 def test_lists_that_a_search_cannot_take_are_refused_not_dropped(orch, tuning, write):
     parameters = "components.controller.parameters"
-    tuning["sweep"]["vary"] |= {parameters: [{"K_i": {"x": 1.0}}, {}], f"{parameters}.K_p.x": [1.0]}
-    answer = orch("tune", write(tuning), "--set", "components.current.parameters.velocity.x=0.1")
+    tuning["sweep"]["vary"][f"{parameters}.K_p.x"] = [1.0]
+    answer = orch("tune", write(tuning))
+    assert answer.code == 2
+    assert f'sweep.vary."{parameters}.K_p.x": is searched in sweep.tune.search, too' in answer.err
+    del tuning["sweep"]["vary"][f"{parameters}.K_p.x"]
+    tuning["sweep"]["vary"][parameters] = [{"K_i": {"x": 1.0}}, {}]
+    answer = orch("tune", write(tuning))
     assert answer.code == 2
     assert "is set by the search; zip it with components.controller.fmu" in answer.err
-    assert f'"{parameters}.K_p.x"' in answer.err
     tuning["sweep"]["zip"] = [[FMU, parameters]]
     tuning["sweep"]["vary"] |= {FMU: ["pid", "pid"], parameters: [{"K_i": {"x": 1.0}}, {}]}
-    del tuning["sweep"]["vary"][f"{parameters}.K_p.x"]
     answer = orch("tune", write(tuning))
     assert answer.code == 2
     assert "sweep.tune.search.pid: 2 rows of sweep.vary have this FMU" in answer.err

@@ -76,8 +76,9 @@ def tune(
     _optuna()
     experiment = load_experiment(path, set, swap)
     spec, problems = read_tune(experiment.sweep, experiment.metrics)
-    if problems:
-        raise ExperimentError(path, [*experiment.problems, *(p for p in problems if p not in experiment.problems)])
+    problems = [problem for problem in problems if problem not in experiment.problems]
+    if problems or any(problem.key.startswith("sweep") for problem in experiment.problems):
+        raise ExperimentError(path, [*experiment.problems, *problems])
     search, problems = designs.design(spec, read_sweep(experiment.sweep)[0], experiment.changes["set"])
     if problems:
         raise ExperimentError(path, [*experiment.problems, *problems])
