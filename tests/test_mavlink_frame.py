@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.errors import OrchError
 from orchestrator.mavlink.components.manual import MavlinkManual
-from orchestrator.mavlink.vehicle.frame import FACTORS, ThrusterFrame, t200_pwm, t200_thrust
+from orchestrator.mavlink.vehicle.frame import FACTORS, ThrusterFrame
 from orchestrator.mavlink.vehicle.sample import rotation, to_earth, to_ned
 
 c = s = math.sqrt(0.5)
@@ -73,15 +73,36 @@ def test_a_matrix_that_is_no_vectored_frame_is_refused_with_a_message(matrix, wo
         ThrusterFrame(matrix)
 
 
-def test_the_t200_has_a_dead_band_and_pushes_better_forward():
-    assert t200_thrust(1500) == t200_thrust(1528) == t200_thrust(1472) == 0
-    assert t200_thrust(1900) == pytest.approx(51.4)
-    assert t200_thrust(1100) == pytest.approx(-39.9)
-    assert t200_pwm(0.01) > 1528
-    assert t200_pwm(-0.01) < 1472
-    assert t200_pwm(99) == 1900
-    straight = max(51.4 * (pwm - 1500) / 400 - t200_thrust(pwm) for pwm in range(1500, 1901))
-    assert straight == pytest.approx(12.2, abs=0.5)  # N; the manufacturer's data
+@pytest.mark.parametrize(
+    ("pulse", "thrust"),  # us, N: lines of the manufacturer's table at 16 V
+    [
+        (1100, -39.91),
+        (1300, -14.12),
+        (1448, -1.27),
+        (1472, 0),
+        (1500, 0),
+        (1528, 0),
+        (1600, 5.88),
+        (1756, 26.77),
+        (1900, 51.48),
+    ],
+)
+def test_the_t200s_thrust_is_that_of_its_table(pulse, thrust):
+    frame = ThrusterFrame(SHIPPED, 60.0, "t200_16V")
+    u = frame.u([pulse] * 6)
+    assert u * frame.signs * 60.0 == pytest.approx(thrust, abs=0.005)
+    if thrust:
+        assert frame.pwm(u) == pytest.approx([pulse] * 6, abs=2)  # a line of the table is 4 us
+
+
+def test_the_t200s_pulses_lie_outside_its_dead_band_and_end_with_its_range():
+    frame = ThrusterFrame(SHIPPED, 1.0, "t200_16V")  # every thruster is turned round
+    assert frame.pwm(np.array([0.0] * 6)) == [1500] * 6
+    least = frame.pwm(np.array([0.01, -0.01, 0, 0, 0, 0]))
+    assert min(least) in (1471, 1472)
+    assert max(least) in (1528, 1529)
+    strong = ThrusterFrame(SHIPPED, 99.0, "t200_16V").pwm(np.array([1.0, -1.0, 0, 0, 0, 0]))
+    assert (min(strong), max(strong)) == (1100, 1900)
 
 
 def test_places_go_to_earth_and_back():

@@ -1,4 +1,4 @@
-"""The power that thrust takes, by the tables of thrusters' vendors."""
+"""Pulse width, thrust and power, by the tables of thrusters' vendors."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class PowerCurve:
 
     def __init__(self, thruster: str, voltage: float):
         self.thruster, self.voltage = thruster, voltage
-        voltages, thrust, power = _table(thruster)
+        self._pulses, voltages, thrust, power = _table(thruster)
         thrust = np.array([np.interp(voltage, voltages, row) for row in thrust]) * GRAVITY
         power = np.array([np.interp(voltage, voltages, row) for row in power])
+        self._of_pulses = np.maximum.accumulate(thrust)  # without the scatter of what was measured
         # One power for each thrust: the mean of the lines that share it.
         self._thrust, place = np.unique(thrust, return_inverse=True)
         self._power = np.bincount(place, power) / np.bincount(place)
@@ -36,6 +37,16 @@ class PowerCurve:
         """Of a thrust [N], forward positive, in W; of one beyond the table that at its end."""
         power: Reals = np.interp(thrust, self._thrust, self._power)
         return power
+
+    def thrust(self, pulse: float) -> float:
+        """Of a pulse width [us], in N; of one beyond the table that at its end."""
+        return float(np.interp(pulse, self._pulses, self._of_pulses))
+
+    def pulse(self, thrust: float) -> float:
+        """The pulse width [us] of a thrust [N]; of none, the middle of the dead band; beyond the table, its end."""
+        if thrust == 0.0:
+            return float(self._pulses[self._of_pulses == 0.0].mean())
+        return float(np.interp(thrust, self._of_pulses, self._pulses))
 
     def gives(self, thrust: Reals) -> Truths:
         """Whether the thruster gives a thrust [N]."""
@@ -51,15 +62,15 @@ class PowerCurve:
 
 def voltages(thruster: str) -> tuple[float, float]:
     """The least and the largest of its table [V]."""
-    known = _table(thruster)[0]
+    known = _table(thruster)[1]
     return float(known[0]), float(known[-1])
 
 
 @functools.cache
-def _table(thruster: str) -> tuple[Reals, Reals, Reals]:
-    """Voltages [V] (m,), and over pulse widths and voltages thrust [kgf] and power [W], (n, m) each."""
+def _table(thruster: str) -> tuple[Reals, Reals, Reals, Reals]:
+    """Pulse widths [us] (n,), voltages [V] (m,), and over both thrust [kgf] and power [W], (n, m) each."""
     text = files(__package__).joinpath(TABLES[thruster]).read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     known = np.array([float(head.split()[1]) for head in lines[0].split(",")[1::2]])
     values = np.array([[float(v) for v in line.split(",")] for line in lines[1:]])
-    return known, values[:, 1::2], values[:, 2::2]
+    return values[:, 0], known, values[:, 1::2], values[:, 2::2]

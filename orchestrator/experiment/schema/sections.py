@@ -315,7 +315,7 @@ METRIC = Section(
             type=positive("; give a positive number"),
             unit="W",
             meaning="Power of one thruster at command 1; power goes with |u|^(3/2). Not beside `thruster`.",
-            example="390.0",
+            example="248.0",
         ),
         Key(
             name="thruster",

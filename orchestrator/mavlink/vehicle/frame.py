@@ -7,6 +7,7 @@ in any order: the columns of its thruster matrix say which motor each of them is
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from ...errors import OrchError, did_you_mean
 from ...experiment.schema.sections import PWM_MAPS
+from ...metrics.thrusters import PowerCurve
 
 if TYPE_CHECKING:
     from ...arrays import Reals
@@ -34,13 +36,6 @@ AXES = ("X", "Y", "Z", "K", "M", "N")
 TOLERANCE = 0.01  # of an entry, relative to the largest of its axis: a matrix measured on a real frame is not exact
 REST, SPAN = 1500, 400  # us: the pulse at rest, and how far full command is from it
 DEFAULT_MAX_THRUST = 40.0  # N at full command, of a vehicle that has no parameter max_thrust; the thesis's
-
-# BlueRobotics' T200 at 16 V, from the figures of its public performance data (September 2019): dead band, and thrust at
-# either end of the range.  Between them a quadratic curve with this share of its linear part, fitted to the largest
-# distance from a straight line in that data, 12.2 N.
-T200_DEAD_BAND = (1472.0, 1528.0)  # us
-T200_LIMITS = (-39.9, 51.4)  # N, at 1100 and 1900 us
-T200_LINEAR = 0.2
 
 
 class ThrusterFrame:
@@ -67,7 +62,7 @@ class ThrusterFrame:
             if self._pwm_map == "linear":
                 pulse = REST + SPAN * turn * command
             else:  # above 1500 us the propeller pushes in its stronger direction, however the thruster is mounted
-                pulse = t200_pwm(self._max_thrust * turn * command)
+                pulse = t200().pulse(self._max_thrust * turn * command)
             pulses[motor] = round(pulse)
         return pulses
 
@@ -83,7 +78,7 @@ class ThrusterFrame:
             if self._pwm_map == "linear":
                 u[thruster] = turn * (pulse - REST) / SPAN
             else:
-                u[thruster] = turn * t200_thrust(pulse) / self._max_thrust
+                u[thruster] = turn * t200().thrust(pulse) / self._max_thrust
         return np.clip(u, -1, 1)
 
 
@@ -96,25 +91,10 @@ def matrix_of(entries: Mapping[str, float]) -> Reals:
     return matrix
 
 
-def t200_thrust(pwm: float) -> float:
-    """Thrust [N] of a T200 at 16 V."""
-    low, high = T200_DEAD_BAND
-    if low <= pwm <= high:
-        return 0.0
-    edge, full = (high, T200_LIMITS[1]) if pwm > high else (low, T200_LIMITS[0])
-    x = min(1.0, (pwm - edge) / ((REST + SPAN if pwm > high else REST - SPAN) - edge))
-    return full * (T200_LINEAR * x + (1 - T200_LINEAR) * x * x)
-
-
-def t200_pwm(thrust: float) -> float:
-    """PWM [us] with which a T200 at 16 V gives a thrust [N]; it jumps over the dead band and saturates."""
-    if thrust == 0:
-        return float(REST)
-    side = int(thrust > 0)
-    edge, full, end = T200_DEAD_BAND[side], T200_LIMITS[side], REST + (SPAN if side else -SPAN)
-    a, b = 1 - T200_LINEAR, T200_LINEAR
-    x = (-b + np.sqrt(b * b + 4 * a * min(1.0, thrust / full))) / (2 * a)
-    return float(edge + x * (end - edge))
+@functools.cache
+def t200() -> PowerCurve:
+    """BlueRobotics' T200 at 16 V, by the manufacturer's table."""
+    return PowerCurve("t200", 16.0)
 
 
 def _match(matrix: Reals) -> tuple[list[int], list[int]]:
