@@ -213,10 +213,15 @@ def test_a_number_too_wide_for_an_input_is_refused(orch, write, sponge):
     assert "Int16_in" not in answer.err
 
 
-def test_an_fmu_that_insists_on_event_mode_is_stepped_from_event_to_event(run, sponge):
-    table = alone(sponge)
+@pytest.mark.parametrize("loop", ["compiled", "python"])
+def test_an_fmu_that_insists_on_event_mode_is_stepped_from_event_to_event(run, sponge, loop, monkeypatch):
+    monkeypatch.setenv("ORCH_LOOP", loop)
+    table = alone(sponge, A=[[2, 0], [0, 3]]) | {"record": {"signals": ["*", "!*.text_out"]}}  # texts: Python's loop
     table["components"]["eventful"] = {"fmu": str(sponge), "start": "fmu"}
+    table["connections"] = {"eventful.x": "one.y", "eventful.Int8_in": "one.Int8_out"}
     record = run(table)
+    assert record.attributes["timing"]["loop"] == loop
+    assert record["eventful.y"].tolist() == [[2.0, 6.0]] * 7
     assert record["one.events"].tolist() == [0] * 7
     assert record["eventful.events"].tolist() == [0, 0, 0, 1, 1, 1, 2]
     np.testing.assert_allclose(record["eventful.level"][1:], [0.01, 0.02, 1.03, 1.04, 1.05, 2.06], rtol=1e-12)

@@ -36,6 +36,7 @@ class Fmi3Instance(LibraryInstance):
         handle = self._try(library)
         if handle is None and self.fmu.capabilities["hasEventMode"]:
             self._event_mode = True
+            self.take_messages()  # of the refusal
             handle = self._try(library)
         return handle
 
@@ -94,7 +95,7 @@ class Fmi3Instance(LibraryInstance):
             return self._step_through_events(t, t + h)
 
         self._callback = STEP(step)  # must live as long as the loop
-        return StepFunction(2, self._handle, ctypes.cast(self._callback, ctypes.c_void_p).value or 0, None)
+        return StepFunction(3, self._handle, ctypes.cast(self._callback, ctypes.c_void_p).value or 0, None)
 
     def wants_to_end(self) -> bool:
         return bool(self._answers[1])

@@ -39,10 +39,11 @@ class CallFailed(Exception):
 class StepFunction(NamedTuple):
     """How the compiled loop calls doStep."""
 
-    version: int  # of FMI, whose signature the function has
+    version: int  # of FMI, whose signatures the getters and setters have
     handle: int  # the FMU's own pointer to the instance, its first argument
     address: int
-    answers: tuple[Truths, Reals] | None  # of FMI 3.0: (3,) event, terminate, early return; (1,) time reached [s]
+    answers: tuple[Truths, Reals] | None
+    # Of fmi3DoStep: (3,) event, terminate, early return; (1,) time reached [s].  None: it has fmi2DoStep's signature.
 
 
 class Instance(ABC):

@@ -102,10 +102,10 @@ typedef struct {
 } Publication;
 
 typedef struct {
-    int version; /* of FMI */
+    int version; /* of FMI, whose signatures the getters and setters have */
     void *handle;
     Function *step;
-    bool *answers; /* FMI 3.0: event, terminate, early */
+    bool *answers; /* of fmi3DoStep: event, terminate, early; NULL: the step is called like fmi2DoStep */
     double *reached;
     double h;
     Py_ssize_t period;
@@ -274,7 +274,7 @@ static inline int exchange(const Stepper *m, const Call *c) {
 }
 
 static inline int do_step(const Stepper *m, double t) {
-    if (m->version == 2) return ((DoStep *)m->step)(m->handle, t, m->h, 1);
+    if (!m->answers) return ((DoStep *)m->step)(m->handle, t, m->h, 1);
     bool *a = m->answers;
     int status = ((DoStep3 *)m->step)(m->handle, t, m->h, true, &a[0], &a[1], &a[2], m->reached);
     if ((unsigned)status > FMI_WARNING) return status;

@@ -138,15 +138,15 @@ int fmi3DoStep(Bucket *b, double t, double h, bool keep, bool *event, bool *end,
 }
 int fmi3GetFloat64(Bucket *b, const unsigned r[], size_t n, double v[], size_t m) {
     for (size_t i = 0; i < n; i++) v[i] = b->now.real[r[i]];
-    return OK;
+    return m == n ? OK : ERROR;
 }
 int fmi3SetFloat64(Bucket *b, const unsigned r[], size_t n, const double v[], size_t m) {
     for (size_t i = 0; i < n; i++) b->now.real[r[i]] = v[i];
-    return OK;
+    return m == n ? OK : ERROR;
 }
 int fmi3GetInt32(Bucket *b, const unsigned r[], size_t n, int32_t v[], size_t m) {
     for (size_t i = 0; i < n; i++) v[i] = b->now.steps;
-    return OK;
+    return m == n ? OK : ERROR;
 }
 int fmi3GetFMUState(Bucket *b, State **s) { return copy(b, s); }
 int fmi3SerializedFMUStateSize(Bucket *b, State *s, size_t *n) { return size_of(b, s, n); }

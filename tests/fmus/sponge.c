@@ -117,24 +117,27 @@ fmi3Status fmi3DoStep(fmi3Instance i, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     return fmi3OK;
 }
 
+#define MISCOUNTED "nValues is not the number of values of these variables"
 #define EXCHANGE(Type, extra_get, extra_set)                                                                           \
     fmi3Status fmi3Get##Type(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3##Type v[], size_t n_v) {      \
         Sponge *s = i;                                                                                                 \
-        for (size_t k = 0, j = 0; k < n; k++) {                                                                        \
+        size_t j = 0;                                                                                                  \
+        for (size_t k = 0; k < n; k++) {                                                                               \
             extra_get                                                                                                  \
             if (r[k] < IN) return say(s, fmi3Error, "no such variable");                                                \
             v[j++] = s->Type;                                                                                          \
         }                                                                                                              \
-        return fmi3OK;                                                                                                 \
+        return j == n_v ? fmi3OK : say(s, fmi3Error, MISCOUNTED);                                                      \
     }                                                                                                                  \
     fmi3Status fmi3Set##Type(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3##Type v[], size_t n_v) {\
         Sponge *s = i;                                                                                                 \
-        for (size_t k = 0, j = 0; k < n; k++) {                                                                        \
+        size_t j = 0;                                                                                                  \
+        for (size_t k = 0; k < n; k++) {                                                                               \
             extra_set                                                                                                  \
             if (r[k] < IN || r[k] >= OUT) return say(s, fmi3Error, "no such input");                                    \
             s->Type = v[j++];                                                                                          \
         }                                                                                                              \
-        return fmi3OK;                                                                                                 \
+        return j == n_v ? fmi3OK : say(s, fmi3Error, MISCOUNTED);                                                      \
     }
 
 static void multiply(const Sponge *s, double *y) {
@@ -177,20 +180,20 @@ EXCHANGE(Boolean, , )
 
 fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3String v[], size_t n_v) {
     for (size_t k = 0; k < n; k++) v[k] = ((Sponge *)i)->text;
-    return fmi3OK;
+    return n_v == n ? fmi3OK : say(i, fmi3Error, MISCOUNTED);
 }
 fmi3Status fmi3SetString(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3String v[], size_t n_v) {
     for (size_t k = 0; k < n; k++) snprintf(((Sponge *)i)->text, BYTES, "%s", v[k]);
-    return fmi3OK;
+    return n_v == n ? fmi3OK : say(i, fmi3Error, MISCOUNTED);
 }
 fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, size_t sizes[], fmi3Binary v[],
                          size_t n_v) {
     for (size_t k = 0; k < n; k++) v[k] = ((Sponge *)i)->bytes, sizes[k] = ((Sponge *)i)->n_bytes;
-    return fmi3OK;
+    return n_v == n ? fmi3OK : say(i, fmi3Error, MISCOUNTED);
 }
 fmi3Status fmi3SetBinary(fmi3Instance i, const fmi3ValueReference r[], size_t n, const size_t sizes[],
                          const fmi3Binary v[], size_t n_v) {
     Sponge *s = i;
     for (size_t k = 0; k < n; k++) memcpy(s->bytes, v[k], sizes[k] < BYTES ? sizes[k] : BYTES), s->n_bytes = sizes[k];
-    return fmi3OK;
+    return n_v == n ? fmi3OK : say(i, fmi3Error, MISCOUNTED);
 }
