@@ -88,8 +88,18 @@ def test_more_metrics_than_runs_stand_below_each_other(compare, store):
     assert found["far_x"] == ["m", "1.000*", "2.000"]
     assert found["far_y"] == ["cm", "300.0", "300.0"]  # equal: none is best
     assert found["heading"] == ["deg", "11.46", "5.730*"]
-    assert found["never"] == ["s", "-", "-"]
-    assert "no number: no sample in its window, or never reached" in compare("near", "far").out
+    assert found["never"] == ["s", "never", "never"]
+
+
+def test_what_never_happens_is_told_from_what_has_no_number(compare, store, tmp_path):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    empty = changed(near, tmp_path / "empty.h5", {"metrics_never": [], "run_id": "empty"})
+    answer = compare("far", empty, "--metrics", "never")
+    found = rows(answer.out)
+    assert (found[store.ids["far"]][-1], found["empty"][-1]) == ("never", "-")
+    assert "- no number: no sample in its window, or no value" in answer.out
+    lines = compare("far", empty, "--metrics", "never", "--format", "csv").out.splitlines()
+    assert [line.split(",")[-2] for line in lines] == ["never [s]", "inf", ""]
 
 
 def test_the_best_is_judged_at_the_digits_that_are_shown(compare):
@@ -363,7 +373,7 @@ def test_csv_has_a_line_a_run_in_full_precision(compare, store):
     assert len(lines) == 3
     assert lines[2][:2] == [store.ids["farther"], "waves"]
     assert lines[2][3:6] == ["completed", "3.0", repr(3.00001 * 100.0)]
-    assert lines[2][-2:] == ["", ""]
+    assert lines[2][-2:] == ["inf", ""]
 
 
 def test_latex_is_for_siunitx_and_booktabs(compare, store):
@@ -377,7 +387,7 @@ def test_latex_is_for_siunitx_and_booktabs(compare, store):
     across = compare("near", "far", "--format", "latex").out
     assert rf"Metric & Unit & {{{store.ids['near']}}} & {{{store.ids['far']}}} \\" in across
     assert r"far\_x & \unit{\metre} & \bfseries 1.000 & 2.000 \\" in across
-    assert r"never & \unit{\second} & {--} & {--} \\" in across
+    assert r"never & \unit{\second} & {never} & {never} \\" in across
 
 
 @pytest.mark.parametrize(

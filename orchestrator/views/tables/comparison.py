@@ -18,13 +18,13 @@ from .terminal import TIED
 MARK = "*"  # of the best, in the terminal
 BEST = f"nearest to zero of the runs that may be compared, at {DIGITS} digits; one run each, which is no statistics"
 NOT_COMPARED = "not compared"
-NO_NUMBER = "-"
+NO_NUMBER, NEVER = "-", "never"
 HEAD = 24  # characters of a line of a label above its run, at most
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A number, NO_NUMBER, or "" where the run does not have the metric."""
+    """A number, NEVER, NO_NUMBER, or "" where the run does not have the metric."""
 
     text: str
     is_best: bool = False
@@ -75,7 +75,7 @@ def _cell(entry: Entry, column: Column, is_best: bool) -> Cell:
 
 
 def _shown(value: float) -> str:
-    return digits(value) if math.isfinite(value) else NO_NUMBER
+    return digits(value) if math.isfinite(value) else NO_NUMBER if math.isnan(value) else NEVER
 
 
 def table(comparison: Comparison) -> str:
@@ -102,7 +102,7 @@ def _legend(comparison: Comparison, shown: ComparisonTable) -> list[str]:
     if comparison.footnotes:
         lines.append(f"{DAGGER} {NOT_COMPARED}: {'; '.join(comparison.footnotes)}")
     if any(cell.text == NO_NUMBER for cell in cells):
-        lines.append(f"{NO_NUMBER} no number: no sample in its window, or never reached")
+        lines.append(f"{NO_NUMBER} no number: no sample in its window, or no value")
     lines += [f"note: {note}" for note in comparison.notes]
     return ["\n".join(map(terminal.wrapped, lines))] if lines else []
 
@@ -129,7 +129,7 @@ def _escaped(text: str) -> str:
 
 
 def csv_text(comparison: Comparison) -> str:
-    """Always a line for each run, in full precision; an empty cell where there is no number.
+    """Always a line for each run, in full precision: inf for never, an empty cell where there is no number.
 
     The last column has what speaks against comparing the numbers of the run, of single metrics with their names.
     """
@@ -138,7 +138,7 @@ def csv_text(comparison: Comparison) -> str:
     writer.writerow(["run", "experiment", "what differs", "status", *(c.head for c in comparison.columns), "marks"])
     for e in comparison.entries:
         numbers = [e.metrics.get(column, math.nan) for column in comparison.columns]
-        cells = [repr(value) if math.isfinite(value) else "" for value in numbers]
+        cells = ["" if math.isnan(value) else repr(value) for value in numbers]
         marks = e.standing.marks
         single = [f"{c.name}: {m}" for c in comparison.columns if c in e.metrics for m in e.marks_of(c)[len(marks) :]]
         writer.writerow([e.name, e.attributes["experiment"], e.label, e.status, *cells, "; ".join([*marks, *single])])
@@ -170,8 +170,8 @@ def _wrapped(text: str) -> list[str]:
 def _latex_cell(cell: Cell) -> str:
     """A number that siunitx aligns; its dagger in braces, which stands behind the number."""
     mark = f" {{{latex.escape(DAGGER)}}}" if cell.is_marked else ""
-    if cell.text == NO_NUMBER:
-        return f"{{--{mark.strip()}}}"
+    if cell.text in (NO_NUMBER, NEVER):
+        return f"{{{'--' if cell.text == NO_NUMBER else NEVER}{mark.strip()}}}"
     return (r"\bfseries " if cell.is_best else "") + cell.text + (mark if cell.text else "")
 
 
