@@ -325,6 +325,16 @@ def test_a_joystick_that_falls_silent_is_neutral_while_an_override_lasts(flight,
     flight(script, 0.2)
 
 
+def test_sticks_that_move_in_guided_are_said_not_to_count(flight):
+    def script(station):
+        assert enter(station, FlightMode.GUIDED) == ACCEPTED
+        assert override(station, chan5_raw=1700).chan5_raw == 1700
+        assert refused(station, "Sticks do not count in mode GUIDED")
+        yield 1.0
+
+    assert np.ptp(flight(script, 1.1)["pilot/eta_d.x"]) == 0
+
+
 def test_a_station_that_does_not_steer_learns_why_its_sticks_do_nothing(flight):
     def script(station):
         station.mav.srcSystem = 200
@@ -644,6 +654,18 @@ def test_go_to_takes_its_speed_and_refuses_a_height_above_the_ground(flight):
     flown = flight(script, 5.1)
     assert flown.at(5.0, "pilot/mode") == FlightMode.GUIDED
     assert flown["pilot/eta_d_dot.x"].max() == pytest.approx(0.2, abs=0.005)
+
+
+def test_the_origin_stays_and_is_the_answer_to_who_would_move_it(flight):
+    def script(station):
+        place = {"latitude": 10**7, "longitude": 2 * 10**7, "altitude": 0}
+        request = mavlink.MAVLink_set_gps_global_origin_message(target_system=1, **place)
+        answer = station.ask(request, "GPS_GLOBAL_ORIGIN")
+        assert (answer.latitude, answer.longitude) == (446500000, -1240500000)
+        assert refused(station, "Home stays the origin of the experiment")
+        yield 0.1
+
+    flight(script, 0.2)
 
 
 def test_missions_are_refused(flight):

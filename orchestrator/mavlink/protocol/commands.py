@@ -22,6 +22,7 @@ UNAVAILABLE = 0  # us, in MESSAGE_INTERVAL; DISABLED likewise
 
 WARNING = mavlink.MAV_SEVERITY_WARNING
 SLOWEST_TURN = 1.0  # degrees/s, in CONDITION_YAW
+HOME_STAYS = "Home stays the origin of the experiment"
 NO_CUSTOM_MODE = "Mode refused: its flag for custom modes is missing"
 GLOBAL_FRAMES = (  # home and sea level are both at the origin
     mavlink.MAV_FRAME_GLOBAL,
@@ -266,7 +267,7 @@ COMMANDS: dict[int, Callable[[Command, VehicleChannel], Answer]] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: change_speed,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
     mavlink.MAV_CMD_DO_MOTOR_TEST: cannot("Motor test refused: not simulated"),
-    mavlink.MAV_CMD_DO_SET_HOME: cannot("Home stays the origin of the experiment"),
+    mavlink.MAV_CMD_DO_SET_HOME: cannot(HOME_STAYS),
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: cannot("A simulated vehicle is not rebooted"),
     mavlink.MAV_CMD_NAV_TAKEOFF: cannot("A submarine does not take off"),
     mavlink.MAV_CMD_MISSION_START: cannot("Mission refused: no missions yet"),

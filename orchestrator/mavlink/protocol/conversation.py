@@ -13,7 +13,18 @@ from ..vehicle.autopilot import Autopilot
 from ..vehicle.parameters import AutopilotParameter, ParameterType, has_effect
 from ..vehicle.sample import E7
 from . import steering, telemetry
-from .commands import ACCEPTED, DENIED, FAILED, NO_CUSTOM_MODE, WARNING, Announce, Command, carry_out, change_mode
+from .commands import (
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    HOME_STAYS,
+    NO_CUSTOM_MODE,
+    WARNING,
+    Announce,
+    Command,
+    carry_out,
+    change_mode,
+)
 from .dialect import AUTOPILOT, Message, mavlink
 from .station import VehicleChannel
 
@@ -169,6 +180,12 @@ class Conversation:
         if self._is_pilot(channel, request, now):
             self._refuse(channel, self._pilot(channel).channels(request, now), now)
 
+    def _set_origin(self, channel: VehicleChannel, request: Message, now: float) -> None:
+        """Refused; the answer is where the origin is."""
+        self._refuse(channel, HOME_STAYS, now)
+        if (at := channel.autopilot.latest) is not None:
+            channel.send(*telemetry.global_origin(channel.autopilot, at, time.time()))
+
     def _set_point(self, channel: VehicleChannel, request: Message, now: float) -> None:
         self._refuse(channel, steering.SET_POINTS[request.get_type()](channel.autopilot, request, now), now)
 
@@ -213,6 +230,8 @@ HANDLERS: dict[str, Callable[[Conversation, VehicleChannel, Message, float], Non
     "PING": Conversation._ping,
     "MANUAL_CONTROL": Conversation._manual_control,
     "RC_CHANNELS_OVERRIDE": Conversation._override,
+    "SET_GPS_GLOBAL_ORIGIN": Conversation._set_origin,
+    "SET_HOME_POSITION": Conversation._set_origin,
     **dict.fromkeys(steering.SET_POINTS, Conversation._set_point),
 }
 

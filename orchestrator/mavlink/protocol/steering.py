@@ -76,7 +76,7 @@ class Pilot:
         """MANUAL_CONTROL; returns why it does not count, or "".  An axis beyond its range is neutral."""
         autopilot, control = self._autopilot, self._autopilot.control
         if control is None:
-            neutral = (message.x, message.y, message.z, message.r) == (0, 0, NEUTRAL_Z, 0)
+            neutral = (message.x, message.y, message.z, message.r, message.buttons) == (0, 0, NEUTRAL_Z, 0, 0)
             return "" if neutral else NO_STICKS
         self._press((message.buttons & 0xFFFF) | (getattr(message, "buttons2", 0) & 0xFFFF) << 16, announce)
         throttle = control.gain * autopilot.parameters["JS_THR_GAIN"]
@@ -98,8 +98,7 @@ class Pilot:
             demands[ROLL] = demand(message.t)
         pulses = {n: Override(pulse=REST + SPAN * value, at=now, joystick=True) for n, value in demands.items()}
         control.overrides = {**control.overrides, **pulses}
-        _end_set_points(control)
-        return ""
+        return _end_set_points(control)
 
     def channels(self, message: Message, now: float) -> str:
         """RC_CHANNELS_OVERRIDE: each channel is overridden, released or left alone; returns what does not count, or "".
@@ -122,8 +121,7 @@ class Pilot:
             if pulse != REST and (n == PITCH or n > LATERAL):
                 idle = idle or f"Channel {n} moves nothing here"
         control.overrides = overrides
-        _end_set_points(control)
-        return idle
+        return _end_set_points(control) or idle
 
     def _press(self, buttons: int, announce: Announce) -> None:
         """Do what the buttons are for that were up before.  buttons: a bit for each that is down."""
@@ -253,11 +251,13 @@ def _go(
     return ""
 
 
-def _end_set_points(control: Control) -> None:
-    """A stick that moves ends the set point of its motion."""
+def _end_set_points(control: Control) -> str:
+    """A stick that moves ends the set point of its motion; returns why it does not, or ""."""
     point = control.set_point
-    if point is None or control.mode == FlightMode.GUIDED:
-        return
+    if control.mode == FlightMode.GUIDED:
+        return "Sticks do not count in mode GUIDED" if max(map(abs, control.sticks())) > MOVED else ""
+    if point is None:
+        return ""
     _, _, heave, roll, yaw = map(abs, control.demands())
     if heave > MOVED:
         point = replace(point, position=(None, None, None), velocity=None)
@@ -266,6 +266,7 @@ def _end_set_points(control: Control) -> None:
     if yaw > MOVED:
         point = replace(point, yaw=None, yaw_rate=None)
     control.set_point = point
+    return ""
 
 
 def _climb(autopilot: Autopilot, thrust: float) -> float:

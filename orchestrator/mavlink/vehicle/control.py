@@ -96,12 +96,17 @@ class Control:
         """The motions that the controller holds; all where the sticks have no way to the thrusters."""
         return HELD[self.mode] if self.mixes else MOTIONS
 
+    def sticks(self) -> tuple[float, float, float, float, float]:
+        """Where the sticks are, in -1..1: surge, sway, heave (down), roll, yaw."""
+        surge, sway, up, roll, yaw = map(self._demand, (FORWARD, LATERAL, THROTTLE, ROLL, YAW))
+        return surge, sway, -up, roll, yaw
+
     def demands(self) -> tuple[float, float, float, float, float]:
-        """Sticks in -1..1: surge, sway, heave (down), roll, yaw; neutral if disarmed or in mode GUIDED."""
+        """The sticks as far as they count: neutral if disarmed or in mode GUIDED, and up and down in mode SURFACE."""
         if not self.armed or self.mode == FlightMode.GUIDED:
             return 0.0, 0.0, 0.0, 0.0, 0.0
-        surge, sway, up, roll, yaw = map(self._demand, (FORWARD, LATERAL, THROTTLE, ROLL, YAW))
-        return surge, sway, 0.0 if self.mode == FlightMode.SURFACE else -up, roll, yaw
+        surge, sway, heave, roll, yaw = self.sticks()
+        return surge, sway, 0.0 if self.mode == FlightMode.SURFACE else heave, roll, yaw
 
     def target(self) -> SetPoint | None:
         """The set point, as far as it counts now."""
