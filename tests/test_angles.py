@@ -138,6 +138,7 @@ def test_metrics_of_two_signals_convert_the_units_of_each(orch, write, poses):
         "rmse_z": {"of": "rmse", "signal": "small.eta.z", "reference": "wrapped.eta_d.z"},
         "heading": {"of": "heading_difference", "signal": "small.eta", "reference": "wrapped.eta_d", "stat": "max"},
         "final_psi": {"of": "final", "signal": WRAPPED, "reference": "small.eta.psi", "unit": "deg"},
+        "radians": {"of": "final", "signal": "small.heading", "unit": "rad"},
         "band": {"of": "settling_time", "signal": "small.eta.z", "band": 1999.0},
         "band_m": {"of": "settling_time", "signal": "small.eta.z", "band": 2.001, "unit": "m"},
     }
@@ -146,6 +147,7 @@ def test_metrics_of_two_signals_convert_the_units_of_each(orch, write, poses):
     assert values["rmse_z"] == pytest.approx(0.0, abs=1e-9)
     assert values["heading"] == pytest.approx(179.99)  # 349.99 - 170
     assert values["final_psi"] == pytest.approx(-139.99)  # -150 - 349.99 + 360
+    assert values["radians"] == pytest.approx(np.radians(349.99))
     assert values["band"] is None  # 2000 mm are outside 1999 mm
     assert values["band_m"] == 0.0
 

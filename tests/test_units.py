@@ -1,5 +1,6 @@
 """Vehicles in other units than m and rad, and one metric in several units: numbers are converted, or told apart."""
 
+import base64
 import json
 import re
 
@@ -11,6 +12,7 @@ import orchestrator
 from experiments import single
 from fmu_files import SOURCES
 from orchestrator.models import build
+from orchestrator.names import ANGLE_AXES
 from orchestrator.records.compare.vehicles import vehicles
 from peers.station import Station, free_port, named
 
@@ -134,3 +136,21 @@ def test_a_sweep_whose_contenders_give_a_metric_in_several_units_is_refused(orch
     table["metrics"] = {"far": {"of": "rms", "signal": "one.eta.z", "unit": "m"}}
     answer = orch("sweep", write(table))
     assert answer.code == 0, answer.err
+
+
+def test_a_replay_turns_with_a_heading_that_wraps_and_not_back_between_two_rows(orch, write, tmp_path, craft):
+    """Between two rows the page follows a line: from 179.8 to -179.8 degrees it would go by 0."""
+    assert orch("run", write(craft), "--output", "run.h5").code == 0
+    assert orch("report", "run.h5", "-o", "page.html").code == 0
+    pose = re.search(r'"pose": ?\{"f4": ?"([^"]*)"', (tmp_path / "page.html").read_text())[1]
+    psi = np.degrees(np.frombuffer(base64.b64decode(pose), "<f4").reshape(-1, 6)[:, 5])
+    assert np.diff(psi) == pytest.approx(0.4, abs=1e-4)
+
+
+def test_exports_say_which_signals_are_angles(orch, write, spiral, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert orch("run", write(spiral), "--output", "run.h5").code == 0
+    assert orch("export", "run.h5", "--format", "parquet", "-o", "run.parquet").code == 0
+    fields = parquet.read_schema(tmp_path / "run.parquet")
+    angles = {field.name for field in fields if (field.metadata or {}).get(b"quantity") == b"angle"}
+    assert angles == {f"{vector}.{axis}" for vector in ("vehicle.eta", "reference.eta_d") for axis in ANGLE_AXES}

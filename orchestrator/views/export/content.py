@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
+from ...fmu.variables import ANGLE
 from ...names import split_axis
 from ...records.file.run import Run
 
@@ -71,7 +72,8 @@ class Signal:
     @property
     def about(self) -> dict[str, str]:
         """Its attributes, named as in the record."""
-        return {"units": self.unit, "long_name": self.long_name, "causality": self.causality}
+        about = {"units": self.unit, "long_name": self.long_name, "causality": self.causality}
+        return about | ({"quantity": ANGLE} if self.run.is_angle(self.name) else {})
 
     def columns(self) -> Iterator[tuple[str, Table]]:
         """Its (N,) columns, each with the suffix of its name: none, or [1], [2], ... for the elements of an array."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import metrics
+from ...names import ANGLE_AXES
 from ...records.compare.vehicles import AXES, Vehicle
 from .curves import Fleet, vehicle_colours
 from .packing import even, packed
@@ -72,9 +73,10 @@ def _run(fleet: Fleet, number: int, run: Run, vehicles: Sequence[Vehicle]) -> di
 
 
 def _columns(vector: Mapping[str, Reals], rows: Places) -> Reals:
-    """(K, 6) of eta's axes; nan where an axis is missing."""
+    """(K, 6) of eta's axes, angles without jumps, as lines are followed between rows; nan where an axis is missing."""
     missing = np.full(len(rows), math.nan)
-    return np.column_stack([vector[axis][rows] if axis in vector else missing for axis in AXES])
+    smooth = {axis: np.unwrap(values) if axis in ANGLE_AXES else values for axis, values in vector.items()}
+    return np.column_stack([smooth[axis][rows] if axis in smooth else missing for axis in AXES])
 
 
 def gripped(run: Run, vehicles: Sequence[Vehicle]) -> dict[str, Any] | None:
