@@ -178,6 +178,8 @@ def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path)
     for name, (_, expected) in SPECS.items():
         # rounding of t and of sums over a hundred samples
         assert answer.json["metrics"][name] == (None if expected is None else pytest.approx(expected, abs=1e-12)), name
+    assert "never" in answer.json["metrics_never"]
+    assert "nowhere" not in answer.json["metrics_never"]
     with orchestrator.open_run(tmp_path / answer.json["file"]) as run:
         assert run.metrics["final"] == answer.json["metrics"]["final"]
         assert run.metrics["never"] == math.inf

@@ -14,7 +14,8 @@ import orchestrator
 from commands import ORCH, poll
 from experiments import merged, single
 
-KEYS = {"run_id", "file", "status", "wall_time", "real_time_factor", "metrics", "warnings", "warning_kinds", "error"}
+KEYS = {"run_id", "file", "status", "wall_time", "real_time_factor", "metrics", "metrics_never", "warnings", "error"}
+KEYS |= {"warning_kinds"}
 
 
 def record(answer, folder):

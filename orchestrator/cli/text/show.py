@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -175,6 +176,7 @@ def result_as_json(result: RunResult) -> dict[str, Any]:
         "wall_time": result.wall_time,
         "real_time_factor": result.real_time_factor,
         "metrics": finite(result.metrics),
+        "metrics_never": [name for name, value in result.metrics.items() if value == math.inf],
         "warnings": list(result.warnings),
         "warning_kinds": kinds_of(result.warnings),
         "error": result.error,
@@ -186,7 +188,15 @@ def not_started(error: OrchError) -> dict[str, Any]:
     """The JSON of a run that was not started, or whose record could not be kept."""
     empty = dict.fromkeys(("run_id", "file", "wall_time", "real_time_factor"))
     status = "not started" if error.exit_code == 2 else "failed"
-    return {**empty, "status": status, "metrics": {}, "warnings": [], "warning_kinds": [], "error": str(error)}
+    return {
+        **empty,
+        "status": status,
+        "metrics": {},
+        "metrics_never": [],
+        "warnings": [],
+        "warning_kinds": [],
+        "error": str(error),
+    }
 
 
 def problems_as_json(error: ExperimentError) -> dict[str, Any]:
