@@ -12,6 +12,7 @@ import pytest
 import orchestrator
 from experiments import merged, single
 from orchestrator import metrics
+from orchestrator.metrics import thrusters
 
 T = np.linspace(0.0, 1.0, 1001)
 SINE = np.sin(2 * np.pi * 5 * T)  # five periods: the sum over all samples but the last is that over whole periods
@@ -79,6 +80,22 @@ def test_a_signal_has_settled_when_it_has_been_inside_for_a_tenth_of_the_window(
     assert taken("settling_time", T, error, band=0.5) == expected
 
 
+def test_a_signal_has_converged_when_it_stays_inside_for_a_tenth_of_the_window():
+    """Passing through is none: a sample of it would be seen at one step and not at another."""
+    through = 1 - 4 * T  # inside from 0.225 to 0.275
+    assert taken("convergence_time", T, through, band=0.1) == math.inf
+    assert taken("convergence_time", T, through, band=0.24) == 0.19
+    once = np.r_[np.ones(500), 0.0, np.ones(500)]
+    assert taken("convergence_time", T, once, band=0.5) == math.inf
+    assert taken("convergence_time", T, SINE, band=0.3) == math.inf  # 0.0194 s each time
+    twice = np.where((T > 0.1) & (T < 0.15) | (T > 0.3) & (T < 0.45), 0.0, 1.0)  # the second time for long enough
+    assert taken("convergence_time", T, twice, band=0.5) == 0.301
+    assert taken("convergence_time", T, np.where(T < 0.89, 1.0, 0.0), band=0.5) == 0.89  # at the end
+    assert taken("convergence_time", T, np.where(T < 0.95, 1.0, 0.0), band=0.5) == math.inf
+    assert taken("convergence_time", T[:1], np.array([0.5]), band=1.0) == 0.0
+    assert taken("convergence_time", T[:1], np.array([2.0]), band=1.0) == math.inf
+
+
 def test_overshoot_and_total_variation():
     assert taken("overshoot", T, DECAY) == 0.0
     assert taken("overshoot", T, -2 * np.cos(2 * np.pi * T)) == pytest.approx(100.0)
@@ -102,6 +119,49 @@ def test_power_of_a_t200_is_that_of_the_vendors_table(thrust, watts):
     u = np.full((1, 11), thrust / 51.485)
     power = taken("mean_power", T[:11], u, thruster="t200", voltage=16.0, max_thrust=51.485)
     assert power == pytest.approx(watts, abs=2.0)  # the table's thrusts are 0.1 N apart, or 1 W at full thrust
+
+
+def test_the_vendors_table_is_met_by_its_other_lines_and_voltages_as_documented(monkeypatch):
+    """docs/experiment.md: what interpolation is wrong by, of what was measured and left out."""
+    voltages, thrusts, watts = thrusters._table("t200")
+
+    def errors(table, voltage, thrust, power):
+        """Of a curve made of another table at these thrusts [N], as far as it goes."""
+        monkeypatch.setattr(thrusters, "_table", lambda thruster: table)
+        curve = thrusters.PowerCurve("t200", float(voltage))
+        within = (thrust >= curve.reverse) & (thrust <= curve.forward)
+        return (curve.power(thrust) - power)[within]
+
+    full = watts.max(axis=0)
+    lines = [
+        np.concatenate(
+            [
+                errors(
+                    (voltages[[j]], np.delete(thrusts[:, [j]], i, 0), np.delete(watts[:, [j]], i, 0)),
+                    voltages[j],
+                    thrusts[[i], j] * thrusters.GRAVITY,
+                    watts[[i], j],
+                )
+                for i in range(len(thrusts))
+            ]
+        )
+        for j in range(len(voltages))
+    ]
+    assert max(np.sqrt((error**2).mean()) for error in lines) < 2.4
+    assert 10.0 < max(abs(error).max() for error in lines) < 11.0
+    assert max(abs(error).max() / of for error, of in zip(lines, full, strict=True)) < 0.023
+    between = [
+        errors(
+            (np.delete(voltages, j), np.delete(thrusts, j, 1), np.delete(watts, j, 1)),
+            voltages[j],
+            thrusts[:, j] * thrusters.GRAVITY,
+            watts[:, j],
+        )
+        for j in range(1, len(voltages) - 1)
+    ]
+    assert max(np.sqrt((error**2).mean()) for error in between) < 7.3
+    assert 26.0 < max(abs(error).max() for error in between) < 27.0
+    assert max(abs(error).max() / full[j + 1] for j, error in enumerate(between)) < 0.062
 
 
 def test_power_between_two_voltages_lies_between_theirs():

@@ -116,6 +116,15 @@ def settled(t, error, band):
     return t[entered] if lasts else math.inf
 
 
+def converged(t, error, band):
+    inside = abs(error) <= band
+    for first in np.flatnonzero(inside & ~np.r_[False, inside[:-1]]):
+        last = first + int(np.argmin(np.r_[inside[first:], False])) - 1
+        if t[last] - t[first] >= 0.1 * (t[-1] - t[0]):
+            return t[first]
+    return math.inf
+
+
 def overshot(t, error, band):
     return 100.0 * max(0.0, (-error / error[0]).max()) if error[0] else math.nan
 
@@ -129,7 +138,7 @@ SCALAR = {
     "max_abs": lambda t, error, band: abs(error).max(),
     "final": lambda t, error, band: error[-1],
     "settling_time": settled,
-    "convergence_time": lambda t, error, band: min(t[abs(error) <= band], default=math.inf),
+    "convergence_time": converged,
     "overshoot": overshot,
     "total_variation": lambda t, error, band: abs(np.diff(error)).sum(),
 }

@@ -19,7 +19,7 @@ from .thrusters import PowerCurve
 if TYPE_CHECKING:
     from ..arrays import Reals
 
-SETTLED_SHARE = 0.1  # of the window, which a signal must have been inside the band for at its end
+SETTLED_SHARE = 0.1  # of the window: a signal that is inside the band for less is passing through
 
 
 class Accumulator(ABC):
@@ -110,18 +110,35 @@ class SettlingTime(Accumulator):
 
 
 class ConvergenceTime(Accumulator):
-    """Time at which |error| <= band holds first [s]; inf if it never does"""
+    """Time from which |error| <= band first holds for a tenth of the window [s]; inf if it never does"""
 
     def __init__(self, band: float):
-        self._band, self._time = band, math.inf
+        self._band = band
+        self._first = self._last = math.nan  # samples
+        self._since: float | None = None  # the error has been inside; None: it is outside
+        self._stays: list[tuple[float, float]] = []  # first and last sample of each that is longer than all before it
+        self._longest = -1.0
 
     def update(self, time: Reals, *values: Reals) -> None:
-        if self._time == math.inf:
-            inside = (abs(values[0]) <= self._band).nonzero()[0]
-            self._time = float(time[inside[0]]) if len(inside) else math.inf
+        if math.isnan(self._first):
+            self._first = float(time[0])
+        inside = abs(values[0]) <= self._band
+        changes = (inside != np.r_[self._since is not None, inside[:-1]]).nonzero()[0]
+        starts = time[changes[inside[changes]]]
+        ends = np.r_[self._last, time[:-1]][changes[~inside[changes]]]
+        if self._since is not None:
+            starts = np.r_[self._since, starts]
+        self._since = float(starts[-1]) if inside[-1] else None
+        lengths = ends - starts[: len(ends)]
+        longest = np.maximum.accumulate(np.r_[self._longest, lengths])
+        for i in (lengths > longest[:-1]).nonzero()[0]:
+            self._stays.append((float(starts[i]), float(ends[i])))
+        self._longest, self._last = float(longest[-1]), float(time[-1])
 
     def result(self) -> float:
-        return self._time
+        enough = SETTLED_SHARE * (self._last - self._first)
+        stays = self._stays if self._since is None else [*self._stays, (self._since, self._last)]
+        return next((first for first, last in stays if last - first >= enough), math.inf)
 
 
 class Overshoot(Accumulator):
@@ -204,7 +221,7 @@ class Itae(Integral):
 
 
 class Energy(Integral):
-    """Energy drawn by the thrusters over the window [J]"""
+    """Electrical energy drawn by the thrusters over the window [J]"""
 
     def __init__(
         self,
@@ -241,7 +258,7 @@ class Energy(Integral):
 
 
 class MeanPower(Energy):
-    """Energy divided by the duration of the window [W]"""
+    """Electrical energy divided by the duration of the window [W]"""
 
     def result(self) -> float:
         duration = self._time - self._start

@@ -19,7 +19,8 @@ ROUNDING = 0.01  # of the largest thrust: beyond the table by so little is its l
 class PowerCurve:
     """Thrust and power of a thruster at a voltage, in still water, as arrays over pulse widths.
 
-    Between the voltages of the table, both are interpolated at each pulse width.  voltage: V, within the table.
+    Power is linear in thrust between the lines of the table, each of which the others meet within 11 W.  Between its
+    voltages both are interpolated at each pulse width.  voltage: V, within the table.
     """
 
     def __init__(self, thruster: str, voltage: float):

@@ -314,7 +314,8 @@ METRIC = Section(
             name="max_power",
             type=positive("; give a positive number"),
             unit="W",
-            meaning="Power of one thruster at command 1; power goes with |u|^(3/2). Not beside `thruster`.",
+            meaning="Electrical power of a thruster at command 1 or -1, whatever its thrust; it goes with |u|^(3/2). "
+            "Not beside `thruster`.",
             example="248.0",
         ),
         Key(
@@ -566,7 +567,7 @@ SWEEP = Section(
             name="keep",
             type=one_of(*KEEP),
             default=KEEP[0],
-            meaning="Which rows the records keep: all, at most 501, or none; metrics are those of all rows.",
+            meaning="Which rows the records keep: all, at most 501, or none; metrics are of every step in any case.",
             example='"metrics"',
         ),
         Key(
