@@ -26,10 +26,10 @@ def long(spiral):
 
 
 def true_rows(write, long, tmp_path, rows):
-    """{signal: values} of the first `rows` rows of the run that nobody kills."""
+    """{signal: values, and envelope or None} of the first `rows` rows of the run that nobody kills."""
     short = merged(long, {"master.stop_time": round(0.1 * max(rows, 2), 1)})
     with orchestrator.run(write(short, "short.toml"), output=tmp_path / "true.h5") as run:
-        return {name: run[name][:rows] for name in run.signals}
+        return {name: (run[name][:rows], run.envelope(name)) for name in run.signals}
 
 
 def test_after_a_kill_at_any_moment_the_rows_are_those_of_the_true_run(shipped, write, long, tmp_path):
@@ -53,8 +53,11 @@ def test_after_a_kill_at_any_moment_the_rows_are_those_of_the_true_run(shipped, 
         with orchestrator.open_run(record) as run:
             assert run.status == "interrupted (killed)"
             assert len(run.time) == n
-            for name, values in true.items():
+            for name, (values, envelope) in true.items():
                 assert run[name].tobytes() == values[:n].tobytes(), (record, name)
+                if envelope is not None:
+                    assert run.envelope(name).tobytes() == envelope[:n].tobytes(), (record, name)
+            assert n == 0 or len(run.envelope("allocation.u.T1")) == n
 
 
 @pytest.mark.skipif(COMPILER is None or sys.platform != "linux", reason="needs a C compiler and LD_PRELOAD")
