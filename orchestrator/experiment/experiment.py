@@ -30,6 +30,7 @@ class ComponentSpec:
     step: float | None = None  # s, its own period; None: the master's
     isolation: str = "auto"  # one of ISOLATION
     timeout: float | None = None  # s of wall time for a step, in a process of its own
+    tolerance: float | None = None  # of the solver inside its FMU; None: what the FMU declares
     builtin: str = ""  # what runs inside orch in place of an FMU
     swapped: bool = False  # by --swap: may lack inputs that its predecessor had
 

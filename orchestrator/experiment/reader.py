@@ -196,6 +196,8 @@ def _components(
         if "timeout" in values and values["isolation"] == "none":
             words = 'can be enforced only in a process of its own; set isolation = "process"'
             problems.append(Problem(f"{key}.timeout", words))
+        if "builtin" in entry and "tolerance" in values:
+            problems.append(Problem(f"{key}.tolerance", "is for the solver inside an FMU; a builtin has none"))
         spec = ComponentSpec(
             name=name,
             fmu=values.get("fmu", ""),
@@ -204,6 +206,7 @@ def _components(
             step=values.get("step"),
             isolation=values["isolation"],
             timeout=values.get("timeout"),
+            tolerance=values.get("tolerance"),
             builtin=values.get("builtin", ""),
             swapped=name in swapped,
         )

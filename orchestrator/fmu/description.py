@@ -64,6 +64,14 @@ def _head(root: Any, version: str) -> Iterator[str]:
         step = element.get("fixedInternalStepSize")
         if step is not None and not 0.0 < (_number(step) or 0.0) < math.inf:
             yield f"its fixedInternalStepSize is {_short(step)}"
+    for experiment in root.findall("DefaultExperiment"):
+        for name in ("startTime", "stopTime", "stepSize", "tolerance"):
+            text = experiment.get(name)
+            value = _number(text) if text is not None else None
+            if text is not None and (
+                value is None or not math.isfinite(value) or (name in ("stepSize", "tolerance") and value <= 0.0)
+            ):
+                yield f"the {name} of its DefaultExperiment is {_short(text)}"
     if len(root.findall("CoSimulation")) > 1:
         yield "it has several CoSimulation elements"
     if len(root.findall("ModelVariables")) != 1:

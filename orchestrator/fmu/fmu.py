@@ -55,6 +55,7 @@ class Fmu:
     initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     # {output: inputs that it depends on in initialization; None: all}
     internal_step: float | None = None  # s; of FMI 3.0: fixedInternalStepSize
+    tolerance: float | None = None  # of its DefaultExperiment
 
     @property
     def version(self) -> int:
@@ -153,6 +154,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         description_xml=text,
         initial_dependencies=_initial_dependencies(description),
         internal_step=float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
+        tolerance=_tolerance(description),
     )
 
 
@@ -187,6 +189,11 @@ def _description(path: Path, text: str) -> Any:
     except Exception as error:  # FMPy raises whatever its XML reader meets
         text = " ".join(str(error).split())
         raise FmuError(f"{path}: {DESCRIPTION} cannot be read: {text or type(error).__name__}") from None
+
+
+def _tolerance(description: Any) -> float | None:
+    experiment = description.defaultExperiment
+    return None if experiment is None or experiment.tolerance is None else float(experiment.tolerance)
 
 
 def _interfaces(description: Any) -> str:

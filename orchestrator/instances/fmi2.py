@@ -31,11 +31,13 @@ class Fmi2Instance(LibraryInstance):
         )
         return handle
 
-    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
+    def setup(
+        self, start_time: float, stop_time: float | None, tolerance: float | None, values: Mapping[str, Any]
+    ) -> None:
         self.call(
             "SetupExperiment",
-            0,
-            ctypes.c_double(0.0),
+            int(tolerance is not None),
+            ctypes.c_double(tolerance or 0.0),
             ctypes.c_double(start_time),
             int(stop_time is not None),
             ctypes.c_double(stop_time or 0.0),

@@ -61,7 +61,9 @@ class Fmi3Instance(LibraryInstance):
         )
         return handle
 
-    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
+    def setup(
+        self, start_time: float, stop_time: float | None, tolerance: float | None, values: Mapping[str, Any]
+    ) -> None:
         structure = {n: v for n, v in values.items() if self.fmu.variables[n].causality == "structuralParameter"}
         if structure:
             self.call("EnterConfigurationMode")
@@ -70,8 +72,8 @@ class Fmi3Instance(LibraryInstance):
         self.assign({name: value for name, value in values.items() if name not in structure})
         self.call(
             "EnterInitializationMode",
-            BOOL(False),
-            ctypes.c_double(0.0),
+            BOOL(tolerance is not None),
+            ctypes.c_double(tolerance or 0.0),
             ctypes.c_double(start_time),
             BOOL(stop_time is not None),
             ctypes.c_double(stop_time or 0.0),

@@ -71,8 +71,13 @@ class Instance(ABC):
         self.name, self.fmu = name, fmu
 
     @abstractmethod
-    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
-        """Enter initialization mode at start_time [s].  values: {variable: value}."""
+    def setup(
+        self, start_time: float, stop_time: float | None, tolerance: float | None, values: Mapping[str, Any]
+    ) -> None:
+        """Enter initialization mode at start_time [s].
+
+        tolerance: of the solver inside, None for the FMU's own choice.  values: {variable: value}.
+        """
 
     @abstractmethod
     def begin(self) -> None:

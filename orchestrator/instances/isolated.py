@@ -131,8 +131,10 @@ class IsolatedInstance(BatchedInstance):
 
         return call
 
-    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
-        self._request("instance", "setup", start_time, stop_time, dict(values))
+    def setup(
+        self, start_time: float, stop_time: float | None, tolerance: float | None, values: Mapping[str, Any]
+    ) -> None:
+        self._request("instance", "setup", start_time, stop_time, tolerance, dict(values))
 
     def begin(self) -> None:
         self._request("instance", "begin")

@@ -52,7 +52,9 @@ class LiveInstance(BatchedInstance):
         (self._gathered if verb == "Set" else self._given).append((buffer, block))
         return self._take if verb == "Set" else self._restart
 
-    def setup(self, start_time: float, stop_time: float | None, values: Mapping[str, Any]) -> None:
+    def setup(
+        self, start_time: float, stop_time: float | None, tolerance: float | None, values: Mapping[str, Any]
+    ) -> None:
         parameters = {n: v for n, v in values.items() if self.fmu.variables[n].causality == "parameter"}
         for name, value in values.items():
             if self.fmu.variables[name].causality == "input":

@@ -48,6 +48,7 @@ class Component:
     isolated: bool = False  # runs in a process of its own
     live: bool = False  # a builtin, which only runs inside orch
     timeout: float | None = None  # s of wall time that one of its steps may take, when isolated
+    tolerance: float | None = None  # of the solver inside its FMU
 
     @property
     def is_vehicle(self) -> bool:
@@ -235,6 +236,7 @@ class Plan:
                     "period": p.period,
                     "parameters": dict(sorted(p.parameters.items())),
                     "start": dict(sorted(p.start.items())),
+                    **({} if p.tolerance is None else {"tolerance": p.tolerance}),
                 }
                 for p in self.components
             ],

@@ -187,6 +187,7 @@ def _components(experiment: Experiment, fmus: Fmus, isolated: Set[str]) -> tuple
                 isolated=spec.name in isolated,
                 live=bool(spec.builtin),
                 timeout=spec.timeout,
+                tolerance=fmu.tolerance if spec.tolerance is None else spec.tolerance,
             )
         )
     return components, problems

@@ -34,8 +34,13 @@ def plan_of(record: Run, report: Callable[[str], None]) -> Plan:
     loaded = parse(path, facts["experiment_toml"], facts["changes"]["set"], facts["changes"]["swap"])
     packagings = {c.fmu: record.fact(c.name, "packaging") for c in loaded.components if c.fmu}
     resolved = record.resolved
-    ran = {component["name"] for component in resolved.get("components", ())}
-    plan = resolve(loaded, *build_models(packagings, report), motors=not ran <= {c.name for c in loaded.components})
+    ran = {component["name"]: component for component in resolved.get("components", ())}
+    plan = resolve(
+        loaded, *build_models(packagings, report), motors=not ran.keys() <= {c.name for c in loaded.components}
+    )
+    # orch 0.1.0 gave no FMU its tolerance.
+    as_then = (dataclasses.replace(c, tolerance=ran.get(c.name, {}).get("tolerance")) for c in plan.components)
+    plan = dataclasses.replace(plan, components=tuple(as_then))
     if plan.live:
         recorded = {*resolved.get("record", {}).get("signals", ())}
         plan = dataclasses.replace(

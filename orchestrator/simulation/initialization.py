@@ -58,7 +58,7 @@ def set_up(system: System, stepper: Stepper, start_time: float = 0.0) -> None:
     fits = plan.steps % component.period == 0  # else its last step ends beyond the stop time
     stop_time = plan.experiment.master.stop_time if fits else None
     with failing(stepper):
-        stepper.instance.setup(start_time, stop_time, {**component.parameters, **component.start})
+        stepper.instance.setup(start_time, stop_time, component.tolerance, {**component.parameters, **component.start})
 
 
 def _settle(system: System) -> list[str]:

@@ -8,7 +8,7 @@
 int getpid(void); /* unistd.h has a write, too */
 
 enum { OK, WARNING, DISCARD, ERROR };
-enum { U, Y, BEGAN, REFUSES, REALS };
+enum { U, Y, BEGAN, REFUSES, TOLERANCE, REALS };
 
 typedef struct {
     double real[REALS], water;
@@ -84,8 +84,9 @@ void *fmi2Instantiate(const char *name, int type, const char *guid, const char *
     return b;
 }
 void fmi2FreeInstance(Bucket *b) { free(b); }
-int fmi2SetupExperiment(Bucket *b, int a, double c, double start, int d, double e) {
+int fmi2SetupExperiment(Bucket *b, int tolerant, double tolerance, double start, int d, double e) {
     b->now.real[BEGAN] = start;
+    b->now.real[TOLERANCE] = tolerant ? tolerance : -1.0;
     return OK;
 }
 int fmi2EnterInitializationMode(Bucket *b) { return OK; }
@@ -125,8 +126,9 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
     return calloc(1, sizeof(Bucket));
 }
 void fmi3FreeInstance(Bucket *b) { free(b); }
-int fmi3EnterInitializationMode(Bucket *b, bool a, double c, double start, bool d, double e) {
+int fmi3EnterInitializationMode(Bucket *b, bool tolerant, double tolerance, double start, bool d, double e) {
     b->now.real[BEGAN] = start;
+    b->now.real[TOLERANCE] = tolerant ? tolerance : -1.0;
     return OK;
 }
 int fmi3ExitInitializationMode(Bucket *b) { return begin(b); }

@@ -149,6 +149,13 @@ COMPONENT = Section(
             example="0.02",
         ),
         Key(
+            name="tolerance",
+            type=positive("; give a positive number"),
+            absent="that of the FMU's DefaultExperiment, if it declares one",
+            meaning="The relative tolerance that an FMU with a solver inside is given.",
+            example="1e-6",
+        ),
+        Key(
             name="isolation",
             type=one_of(*ISOLATION),
             default=ISOLATION[0],

@@ -40,6 +40,8 @@ def _texts(resolved: Mapping[str, Any]) -> dict[Key, str]:
             case ("components", component, "parameters" | "start", name):
                 head, axis = split_axis(name)
                 vectors.setdefault((component, head), {})[axis] = text(value)
+            case ("components", component, "tolerance"):
+                vectors.setdefault((component, "tolerance"), {})[""] = text(value)
             case ("master", name):
                 master["master", name] = text(value) + (" s" if name in ("step", "stop_time") else "")
     variables: dict[Key, str] = {}

@@ -94,6 +94,9 @@ def _problems_of_saved(
     if component.period != was["period"]:
         words = f"is {component.period} steps of the master, and was {was['period']}; {hint}"
         problems.append(Problem(f"{key}.step", words))
+    if component.tolerance != was.get("tolerance", component.tolerance):  # orch 0.1.0 saved none
+        words = f"is {_shown(component.tolerance)}, and was {_shown(was['tolerance'])} in the checkpoint; {hint}"
+        problems.append(Problem(f"{key}.tolerance", words))
     for what, values in (("parameters", component.parameters), ("start", component.start)):
         now, then = json.loads(json.dumps(dict(values))), was[what]
         problems += [

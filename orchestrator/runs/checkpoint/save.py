@@ -83,6 +83,7 @@ def _facts(system: System, stepper: Stepper) -> dict[str, Any]:
         "period": component.period,
         "parameters": dict(component.parameters),
         "start": dict(component.start),
+        "tolerance": component.tolerance,
         "values": values,
         "given": _of_buffers(stepper.setters),
         "computed": _of_buffers(stepper.getters),
