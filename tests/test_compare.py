@@ -243,6 +243,24 @@ def test_a_run_whose_numbers_are_wrong_is_marked_in_every_format(compare, store,
     assert compare(*what, "--json").json["metrics"][0]["best"] == [store.ids["far"]]
 
 
+def test_what_is_never_reached_is_later_than_any_time(compare, models, tmp_path):
+    metrics = {"settled": {"of": "convergence_time", "signal": "one.eta.x", "band": 1.5}}
+    soon, late = (run(tmp_path, {**table((x, 0.0, 0.0)), "metrics": metrics}) for x in (1.0, 2.0))
+    answer = compare(soon[1], late[1], "--json").json
+    assert [of["never"] for of in answer["runs"]] == [[], ["settled"]]
+    assert answer["metrics"][0]["best"] == [soon[0]]
+    assert compare(late[1], late[1], "--json").json["metrics"][0]["best"] == []
+
+
+def test_orch_show_says_first_what_speaks_against_a_run(orch, store, tmp_path):
+    near = store.folder / "results" / "waves" / f"{store.ids['near']}.h5"
+    facts = {"stopped_at": 0.04, "warnings": ["wrong"], "warning_kinds": ["unstable"]}
+    path = changed(near, tmp_path / "marked.h5", facts)
+    first = orch("show", path).out.splitlines()[0]
+    assert orch("show", path, "--json").json["marks"] == ["ended early at 0.04 s", "warned: unstable at this step"]
+    assert first.endswith(": completed, ended early at 0.04 s, warned: unstable at this step")
+
+
 def test_a_run_that_switches_in_every_step_has_no_best_of_what_counts_changes(compare, models, tmp_path):
     counting = {"variation": {"of": "total_variation", "signal": "one.ramp"}, "far": METRICS_OF_WAVES["far_x"]}
     paths = [run(tmp_path, {**table((k, 0.0, 0.0)), "metrics": counting})[1] for k in (1.0, 2.0)]

@@ -861,6 +861,8 @@ def test_a_sweep_is_drawn_and_reported(orch, judged, tmp_path):
     assert text == (tmp_path / "two.html").read_text()
     assert text.count("<svg") == 4
     assert "<b>2.812 (n 8)</b>" in text
+    assert "c 8/9" in text
+    assert "left out of the statistics: b 1, c 1" in text
     assert not re.search(r"(src|href)=\"https?:", text)
 
 

@@ -71,7 +71,8 @@ def record(run: Run) -> str:
         ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
     ]
     plain = [(k, " ".join(v) if isinstance(v, list) else str(v)) for k, v in rows if v]
-    lines = [f"{facts['experiment']} {run.run_id}: {run.status}", *table(plain, 2, title=False), "", "  components"]
+    status = ", ".join([run.status, *(mark for mark in run.standing.marks if mark != run.status)])
+    lines = [f"{facts['experiment']} {run.run_id}: {status}", *table(plain, 2, title=False), "", "  components"]
     lines += table(
         [
             (c["name"], c["fmu"], c["fmu_sha256"][:10], json.dumps(c["parameters"]) if c["parameters"] else "")
@@ -141,7 +142,9 @@ def _share(part: float, whole: float) -> str:
 def record_as_json(run: Run) -> dict[str, Any]:
     facts = {name: value for name, value in run.attributes.items() if value == value}  # JSON has no nan
     del facts["model_descriptions"]  # 100 kB
-    return {**facts, "status": run.status, "file": str(run.path), "rows": len(run.time), "signals": run.signals}
+    marks = list(run.standing.marks)
+    ended = {"status": run.status, "marks": marks, "file": str(run.path)}
+    return {**facts, **ended, "rows": len(run.time), "signals": run.signals}
 
 
 def _metrics(

@@ -102,17 +102,23 @@ class Comparison:
         That is also so where these runs are not alike, or where the metric has no best value.
         """
         numbers = {i: e.metrics.get(column, math.nan) for i, e in enumerate(self.entries)}
-        finite_ones = {i: abs(float(digits(v))) for i, v in numbers.items() if math.isfinite(v)}
-        ranked = {i: v for i, v in finite_ones.items() if not self.entries[i].marks_of(column)}
-        if not column.ranked or len(finite_ones) < 2 or not ranked or not self._alike(column):
+        values = {i: _rounded(v) for i, v in numbers.items() if not math.isnan(v)}
+        ranked = {i: v for i, v in values.items() if not self.entries[i].marks_of(column)}
+        least = min(ranked.values(), default=math.inf)
+        if not column.ranked or len(values) < 2 or least == math.inf or not self._alike(column):
             return []
-        best = [i for i, value in ranked.items() if value == min(ranked.values())]
-        return [] if 1 < len(best) == len(finite_ones) else [self.entries[i] for i in best]
+        best = [i for i, value in ranked.items() if value == least]
+        return [] if 1 < len(best) == len(values) else [self.entries[i] for i in best]
 
     def _alike(self, column: Column) -> bool:
         """Whether those of the runs that may be compared have one and the same metric."""
         compared = [e for e in self.entries if column in e.metrics and not e.marks_of(column)]
         return not unlike(column.name, [e.attributes["experiment_resolved"] for e in compared])
+
+
+def _rounded(value: float) -> float:
+    """The magnitude that a table shows; inf of what is never reached, which is later than any time."""
+    return abs(float(digits(value))) if math.isfinite(value) else math.inf
 
 
 def digits(value: float) -> str:
