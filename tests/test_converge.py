@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from experiments import EXPERIMENTS
+from experiments import EXPERIMENTS, merged, single
 from orchestrator.studies.convergence import assess, observed_order
 
 
@@ -178,3 +178,11 @@ def test_records_of_a_study_name_its_command_whatever_lies_in_the_folder(orch, w
     assert orch("converge", write(short)).code == 0
     for run in orch("list", "--json").json:
         assert orch("show", run["run_id"], "--json").json["command"][1] == "converge"
+
+
+def test_runs_that_an_fmu_ended_early_are_named(orch, write, models):
+    table = merged(single("trouble", stop_time=0.08, kind=4, at=0.03), {"components.one.start": {"u": 0.0}})
+    table["metrics"] = {"rms": {"of": "rms", "signal": "one.y"}}
+    answer = orch("converge", write(table), "--json", "--steps", "0.01,0.005,0.0025")
+    (warning,) = answer.json["warnings"]
+    assert warning.startswith("an FMU ended the run early, at step 0.01 s at 0.03 s, at step 0.005 s at 0.03 s")

@@ -31,6 +31,7 @@ def run(job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
         "file": str(result.file),
         "status": result.status,
         "wall_time": result.wall_time,
+        "ended_at": result.ended_at,
         "metrics": dict(result.metrics),
         "warnings": list(result.warnings),
         "error": result.error,

@@ -56,7 +56,7 @@ class MetricConvergence:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvergenceStudy:
-    """All metrics.  warnings: of the run at the experiment's own step."""
+    """All metrics.  warnings: of the run at the experiment's own step, and of runs that ended early."""
 
     experiment: str
     own: float  # s, the experiment's own step
@@ -91,7 +91,7 @@ def study(
     ended = processes.run_plans(commands, CommandProgress(len(commands), report))
     by_step = dict(zip(chosen, ended, strict=True))
     with Run(by_step[own]["file"]) as record:
-        warnings = tuple(record.warnings)
+        warnings = (*record.warnings, *_ended_early(plan, {step: by_step[step]["ended_at"] for step in chosen}))
     metrics = []
     for name, spec in plan.experiment.metrics.items():
         values = {step: float(by_step[step]["metrics"][name]) for step in chosen}
@@ -105,6 +105,13 @@ def study(
         metrics=tuple(metrics),
         warnings=warnings,
     )
+
+
+def _ended_early(plan: Plan, ends: Mapping[float, float]) -> list[Warned]:
+    """A warning where FMUs ended runs before the stop time.  ends: {step: when} [s]."""
+    early = [f"at step {h:g} s at {end:.10g} s" for h, end in ends.items() if end < plan.experiment.master.stop_time]
+    text = f"an FMU ended the run early, {', '.join(early)}: metrics of other lengths of time are compared"
+    return [Warned(text)] if early else []
 
 
 def _plans(
