@@ -227,6 +227,9 @@ def test_runs_that_warn_of_their_numbers_are_not_what_a_search_is_judged_by(orch
     assert answer.code == 0, answer.err
     assert "note: mfsosmc: 2 trials do not count: warned: unstable at this step" in answer.err
     assert "note: mfsosmc: no trial completed, so it is not tuned" in answer.err
+    assert ["mfsosmc", "2", "2", "-", "-"] in [line.split() for line in answer.out.splitlines()]
+    (fragment,) = path.parent.glob("results/_tune/*/mfsosmc.toml")
+    assert fragment.read_text().startswith("# Not tuned: no trial completed on draws 0 to 3 of sweep.seed = 3.\n")
     (table,) = path.parent.glob("results/mine-*/table.csv")
     assert {row["title"] for row in rows_of(table)} == {"mfsosmc"}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -82,8 +83,8 @@ def tuned(result: TuneResult) -> str:
             one.fmu,
             str(one.trials),
             str(one.pruned),
-            f"{one.default:.6g}",
-            f"{one.best:.6g}",
+            _number(one.default),
+            _number(one.best),
             ", ".join(f"{name} = {_shown(value)}" for name, value in one.parameters.items()),
         )
         for one in result.tuned
@@ -137,6 +138,10 @@ def _facts(result: SweepResult) -> Mapping[str, Any]:
 
 def _place(address: str) -> str:
     return short(Path(address)) if is_local(address) else address
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if math.isfinite(value) else "-"
 
 
 def _shown(value: Any) -> str:

@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import json
 import logging
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -196,10 +197,11 @@ def _write(folder: Path, search: SearchDesign, tuned: list[TunedController]) -> 
     spec, first = search.spec, search.swept.skip
     seen = f"draws {first} to {first + spec.draws - 1} of sweep.seed = {search.swept.seed}"
     for one, name in zip(tuned, _names(one.fmu for one in tuned), strict=True):
-        remark = (
-            f"# Tuned by orch: {_objective(spec)} {one.best:.6g}, with the defaults {one.default:.6g}, on {seen}:\n"
-        )
+        default = f", with the defaults {one.default:.6g}" if math.isfinite(one.default) else ""
+        remark = f"# Tuned by orch: {_objective(spec)} {one.best:.6g}{default}, on {seen}:\n"
         remark += f"# compare it on others, such as those from sweep.skip = {first + spec.draws} on.\n"
+        if not one.parameters:
+            remark = f"# Not tuned: no trial completed on {seen}.\n"
         parameters = search.parameters(one.fmu, one.parameters)
         table = {"components": {spec.component: {"fmu": one.fmu, "parameters": parameters}}}
         write_text(folder / f"{name}.toml", remark + toml.write(table))
