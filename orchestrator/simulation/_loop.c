@@ -161,10 +161,17 @@ typedef struct {
     double turn, before;
 } Angle;
 
+/* Of a Limit of a real: what lies within these is within. */
+typedef struct {
+    uint32_t place;
+    float low, high;
+} Guard;
+
 /* Limits, reals first, then angles. */
 typedef struct {
     size_t n_limits, n_reals, n_angles;
     const Limit *limits;
+    Guard *guards;
     Angle *angles;
     int64_t *ticks; /* when a value first left its limits, or jumped; -1 before */
     double *first, *farthest;
@@ -372,31 +379,30 @@ static void note_limits(const Watched *w, void *const *tables, int64_t tick) {
     }
 }
 
-static void note_jump(const Watched *w, size_t i, double jump, int64_t tick) {
-    if (w->ticks[i] >= 0) return;
-    w->ticks[i] = tick;
-    w->first[i] = jump;
+static void note_jumps(const Watched *w, const double *reals, int64_t tick) {
+    for (size_t i = 0; i < w->n_angles; i++) {
+        const Angle *a = &w->angles[i];
+        int64_t *noted = &w->ticks[w->n_limits + i];
+        double jump = reals[a->place] - a->before;
+        if (*noted >= 0 || !(fabs(jump) > a->turn)) continue;
+        *noted = tick;
+        w->first[w->n_limits + i] = jump;
+    }
 }
 
-/* tick: that has ended. */
+/* tick: that has ended.  The guards are small, and there is one branch for all: this is done in every step. */
 static void watch(const Watched *w, void *const *tables, int64_t tick) {
     const double *reals = tables[REAL];
-    const Limit *l = w->limits;
-    for (const Limit *end = l + w->n_reals; l < end; l++)
-        if (reals[l->place] < l->low || reals[l->place] > l->high) break;
-    for (const Limit *end = w->limits + w->n_limits; l < end; l++) {
-        double value = value_of(tables, l->kind, l->place);
-        if (value < l->low || value > l->high) {
-            note_limits(w, tables, tick);
-            break;
-        }
+    int beyond = 0, jumped = 0;
+    for (const Guard *g = w->guards, *end = g + w->n_reals; g < end; g++) {
+        double value = reals[g->place];
+        beyond |= (value < (double)g->low) | (value > (double)g->high);
     }
-    for (size_t i = 0; i < w->n_angles; i++) {
-        Angle *a = &w->angles[i];
-        double jump = reals[a->place] - a->before;
-        if (fabs(jump) > a->turn) note_jump(w, w->n_limits + i, jump, tick);
-        a->before = reals[a->place];
-    }
+    if (beyond || w->n_reals < w->n_limits) note_limits(w, tables, tick);
+    for (const Angle *a = w->angles, *end = a + w->n_angles; a < end; a++)
+        jumped |= fabs(reals[a->place] - a->before) > a->turn;
+    if (jumped) note_jumps(w, reals, tick);
+    for (Angle *a = w->angles, *end = a + w->n_angles; a < end; a++) a->before = reals[a->place];
 }
 
 /* The bounds since the last row, as a row (2, n_bounded); then those of nothing. */
@@ -649,6 +655,15 @@ static int parse_watched(PyObject *tuple, Watched *w) {
     if (!(w->first = memory_of(first, sizeof(double), NULL))) return -1;
     if (!(w->farthest = memory_of(farthest, sizeof(double), NULL))) return -1;
     while (w->n_reals < w->n_limits && w->limits[w->n_reals].kind == REAL) w->n_reals++;
+    w->guards = calloc(w->n_reals + 1, sizeof *w->guards);
+    if (!w->guards) return PyErr_NoMemory(), -1;
+    for (size_t i = 0; i < w->n_reals; i++) {
+        const Limit *l = &w->limits[i];
+        Guard *g = &w->guards[i];
+        *g = (Guard){(uint32_t)l->place, (float)l->low, (float)l->high};
+        if ((double)g->low < l->low) g->low = nextafterf(g->low, INFINITY);
+        if ((double)g->high > l->high) g->high = nextafterf(g->high, -INFINITY);
+    }
     return 0;
 }
 
@@ -663,6 +678,7 @@ static void loop_dealloc(Loop *self) {
     free(self->steppers);
     free(self->late);
     free(self->bursts.clocks);
+    free(self->watched.guards);
     free(self->bursts.spans);
     free(self->sampled.spans);
     Py_XDECREF(self->program);
