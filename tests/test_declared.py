@@ -90,3 +90,96 @@ def test_a_difference_of_tolerance_is_named(bucket, orch, write, tmp_path):
         orch("run", write(alone(bucket(2), tolerance=tolerance)))
     runs = sorted((tmp_path / "results").rglob("*.h5"))
     assert "components.one.tolerance" in orch("diff", *runs).out
+
+
+# --- What a model in plain Python declares ---------------------------------------------------------------------------
+
+LAW = """
+import numpy as np
+from uuv import NU, TAU, Input, Output, Parameter, PythonModel, Signal, State
+
+GAUGE = Signal((), "1", "a number")
+
+
+class Law(PythonModel):
+    nu, tau, alarm = Input(NU), Output(TAU), Output(GAUGE)
+    count = State(GAUGE)
+
+    def do_step(self, t, h):
+        self.alarm = 0.0
+        self.count = self.count + 1
+        BODY
+"""
+
+
+@pytest.fixture
+def law(orch, write, tmp_path):
+    """law(name, body) builds and runs the model; returns the answer and the record."""
+
+    def law(name, body):
+        (tmp_path / f"{name}.py").write_text(LAW.replace("BODY", body.replace("\n", "\n        ")))
+        built = orch("build", f"{name}.py")
+        assert built.code == 0, built.err
+        answer = orch("run", write({**alone(name), "record": {"inputs": True}}), "--json")
+        return answer, orchestrator.open_run(tmp_path / answer.json["file"])
+
+    return law
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "words"),
+    [
+        (
+            "misspelt",
+            "self.taw = -3.0 * self.nu",
+            "do_step never assigns its output tau; line 15 of misspelt.py assigns self.taw: did you mean self.tau?",
+        ),
+        ("silent", "pass", "do_step never assigns its output tau"),
+        (
+            "seldom",
+            "if t < 0.02:\n    self.tau = -self.nu\nelse:\n    self.taau = -self.nu",
+            "line 18 of seldom.py assigns self.taau, which nothing declares or reads: did you mean self.tau?",
+        ),
+        (
+            "state",
+            "self.tau = -self.nu\nself.cuont = 2.0",
+            "line 16 of state.py assigns self.cuont, which nothing declares or reads: did you mean self.count?",
+        ),
+    ],
+)
+def test_an_output_that_is_never_assigned_ends_the_first_step(law, name, body, words):
+    answer, record = law(name, body)
+    assert answer.code == 3
+    assert answer.json["error"].startswith("'one' failed at t = 0 s: ")
+    assert words in answer.json["error"]
+    assert record.time.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "body"),
+    [
+        ("in_place", "self.tau[:] = 0.0"),
+        ("one_by_one", "for i in range(6): self.tau[i] = 0.0"),
+        ("by_numpy", "np.copyto(self.tau, np.zeros(6))"),
+        ("by_name", "setattr(self, 'tau', np.zeros(6))"),
+        ("late", "if t > 0.02: self.tau = np.ones(6)"),
+        ("helped", "self.taus = [self.nu]\nself.tau_d = 1.0\nself.tau = sum(self.taus)"),
+    ],
+)
+def test_a_model_may_assign_its_outputs_as_it_likes(law, name, body):
+    answer, record = law(name, body)
+    assert answer.code == 0, answer.err
+    assert len(record.time) == 5
+
+
+def test_a_failure_of_a_python_model_has_its_file_and_line_and_the_record_the_traceback(law):
+    answer, record = law("broken", "k = len(3) if t > 0.01 else 1\nself.tau = k * self.nu")
+    words = "TypeError: object of type 'int' has no len() (broken.py, line 15)"
+    assert answer.json["error"] == f"'one' failed at t = 0.02 s: fmi2Fatal: \"{words}\""
+    assert record.attributes["traceback"] == (
+        "Traceback (most recent call last):\n"
+        '  File "broken.py", line 15, in do_step\n'
+        "    k = len(3) if t > 0.01 else 1\n"
+        "        ^^^^^^\n"
+        "TypeError: object of type 'int' has no len()"
+    )

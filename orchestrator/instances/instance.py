@@ -26,11 +26,14 @@ STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c
 
 
 class CallFailed(Exception):
-    """A call of FMI that failed.  `.status`: DISCARD, ERROR, FATAL, or none of FMI's."""
+    """A call of FMI that failed.
 
-    def __init__(self, status: int, message: str):
-        super().__init__(status, message)  # both: it is pickled on its way from another process
-        self.status = status
+    `.status`: DISCARD, ERROR, FATAL, or none of FMI's; `.traceback`: of a Python model, or "".
+    """
+
+    def __init__(self, status: int, message: str, traceback: str = ""):
+        super().__init__(status, message, traceback)  # all: it is pickled on its way from another process
+        self.status, self.traceback = status, traceback
 
     def __str__(self) -> str:
         return str(self.args[1])

@@ -18,7 +18,7 @@ from ..errors import FmuError
 from ..fmu.fmu import Fmu, platform_folder
 from ..fmu.variables import ACCESSORS, DTYPES, Variable
 from .instance import DISCARD, STATUS, WARNING, Call, CallFailed, Instance, Verb, references_of
-from .messages import listen
+from .messages import Message, listen
 
 
 class Library:
@@ -82,8 +82,12 @@ class LibraryInstance(Instance):
             # A Python FMU that has raised must never be called or freed again (it segfaults).
             self._healthy = self._healthy and status == DISCARD
             name = f"fmi{self.version}{STATUS[status]}" if 0 <= status < len(STATUS) else f"status {status}"
-            logged = self._logged()
-            raise CallFailed(status, f'{name}: "{logged}"' if logged else f"{name}; the FMU logged no message")
+            messages = self._take_messages()
+            logged = "; ".join(messages)
+            traceback = "\n".join(message.traceback for message in messages if message.traceback)
+            raise CallFailed(
+                status, f'{name}: "{logged}"' if logged else f"{name}; the FMU logged no message", traceback
+            )
 
     def begin(self) -> None:
         self.call("ExitInitializationMode")
@@ -175,6 +179,9 @@ class LibraryInstance(Instance):
         self._function("FreeInstance")(handle)
 
     def take_messages(self) -> list[str]:
+        return list(self._take_messages())
+
+    def _take_messages(self) -> list[Message]:
         messages = list(dict.fromkeys(self._messages))
         self._messages.clear()
         return messages

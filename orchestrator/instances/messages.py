@@ -14,12 +14,21 @@ KEPT = 20  # messages of an instance
 OK = 0  # of FMI's statuses
 
 _ENVIRONMENTS = itertools.count(1)
-_MESSAGES: WeakValueDictionary[int, deque[str]] = WeakValueDictionary()  # of live instances, by environment
+TRACEBACK = "Traceback (most recent call last):"
 
 
-def listen() -> tuple[int, deque[str]]:
+class Message(str):
+    """A message in one line; `traceback`: of the exception of a Python model that it is about, or ""."""
+
+    traceback: str = ""
+
+
+_MESSAGES: WeakValueDictionary[int, deque[Message]] = WeakValueDictionary()  # of live instances, by environment
+
+
+def listen() -> tuple[int, deque[Message]]:
     """An environment for a new instance, and the list that its messages go to as long as it exists."""
-    environment, messages = next(_ENVIRONMENTS), deque[str](maxlen=KEPT)
+    environment, messages = next(_ENVIRONMENTS), deque[Message](maxlen=KEPT)
     _MESSAGES[environment] = messages
     return environment, messages
 
@@ -63,8 +72,15 @@ def _callbacks(formats: bool) -> Any:
     return callbacks, logger
 
 
-def _plain(message: str) -> str:
-    """The model's own message, without what pythonfmu's library puts around it."""
+def _plain(message: str) -> Message:
+    """The model's own message, without what pythonfmu's library puts around it, and its traceback."""
+    head, mark, lines = message.partition(f"\n{TRACEBACK}\n")
+    plain = Message(_without_library(head))
+    plain.traceback = f"{TRACEBACK}\n{lines}" if mark else ""
+    return plain
+
+
+def _without_library(message: str) -> str:
     text = " ".join(message.split())
     match = re.search(r"Fatal py exception encountered: \[\w+\] \w+ (.*)", text)
     if not match:

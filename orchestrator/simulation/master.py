@@ -85,6 +85,7 @@ def _fail(system: System, outcome: Outcome, failure: ComponentFailed, interrupt:
     outcome.failed_at = grid.time(outcome.ticks)
     outcome.error = f"{failure.name!r} failed at t = {outcome.failed_at:.10g} s: {failure}"
     outcome.last_inputs = failure.stepper.last_inputs()
+    outcome.traceback = failure.traceback
 
 
 def _step_all(

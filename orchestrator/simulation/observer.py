@@ -106,6 +106,7 @@ class Outcome:
     failed_at: float | None = None
     stopped_at: float | None = None
     last_inputs: dict[str, Any] = field(default_factory=dict)  # of the component that failed
+    traceback: str = ""  # of its model, in Python
     heard: dict[str, list[tuple[float, Reals]]] = field(default_factory=dict)  # by live components
     warnings: list[str] = field(default_factory=list)
     timing: dict[str, Any] = field(default_factory=dict)  # see stepper.Timing

@@ -170,11 +170,11 @@ def _convert(tables: Mapping[str, Table], conversions: Sequence[Conversion], buf
 
 
 class ComponentFailed(Exception):
-    """A component failed.  `.name`: its name; `.status`: of FMI."""
+    """A component failed.  `.name`: its name; `.status`: of FMI; `.traceback`: of a Python model, or ""."""
 
-    def __init__(self, stepper: Stepper, message: str, status: int = ERROR):
+    def __init__(self, stepper: Stepper, message: str, status: int = ERROR, traceback: str = ""):
         super().__init__(message)
-        self.stepper, self.name, self.status = stepper, stepper.component.name, status
+        self.stepper, self.name, self.status, self.traceback = stepper, stepper.component.name, status, traceback
 
 
 @contextlib.contextmanager
@@ -183,7 +183,7 @@ def failing(stepper: Stepper) -> Iterator[None]:
     try:
         yield
     except CallFailed as error:
-        raise ComponentFailed(stepper, str(error), error.status) from None
+        raise ComponentFailed(stepper, str(error), error.status, error.traceback) from None
 
 
 class Timing:

@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from .assigned import Watch
 from .declare import GROUPS, Declared, Layout, assign
 from .equations import Equations, Model, trace
+from .failure import ModelFailed
 from .python_model import PythonModel
 
 ERROR = 3  # fmi2Error
@@ -61,7 +63,10 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         self._initializing = False
 
     def do_step(self, current_time: float, step_size: float) -> bool:
-        goes_on = self._core.step(current_time, step_size)
+        try:
+            goes_on = self._core.step(current_time, step_size)
+        except Exception as error:
+            raise ModelFailed(error) from error
         # The sum of squares is quick and without a warning of numpy's; it may overflow where every value is finite.
         if not math.isfinite(self.memory.dot(self.memory)) and not np.isfinite(self.memory).all():
             raise ValueError(self._not_finite())
@@ -104,7 +109,10 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
     set_string = get_string
 
     def _refresh(self) -> None:
-        self._core.initialize()
+        try:
+            self._core.initialize()
+        except Exception as error:
+            raise ModelFailed(error) from error
         self._stale = False
 
     def _not_finite(self) -> str:
@@ -188,6 +196,8 @@ class _PythonCore:
         self._memory, self._layout = memory, model_class.layout()
         self._model = model_class()
         self._declared = {v.name.partition(".")[0] for v in self._layout.variables}
+        self._outputs = {v.name for v in self._layout.of("output")}
+        self.step = self._first_step
         self._start = memory.copy()
         self._new = self.own_state()
 
@@ -201,12 +211,19 @@ class _PythonCore:
         _store(self._model, self._memory, self._layout, ("calculated", "state"))
         _show(self._model, self._memory, self._layout, ("calculated", "state"))
         kept, own = self._memory[states].copy(), self.own_state()
+        self._watch = Watch(self._model, [v.name for group in ("state", "output") for v in self._layout.of(group)])
         self._model.do_step(self._memory[0], 0.0)
         _store(self._model, self._memory, self._layout, ("output",))
         self._memory[states] = kept
         self.restore(own)
 
-    def step(self, t: float, h: float) -> bool:
+    def _first_step(self, t: float, h: float) -> bool:
+        goes_on = self._later_step(t, h)
+        self._watch.check(self._model, self._outputs, self._declared)
+        self.step = self._later_step
+        return goes_on
+
+    def _later_step(self, t: float, h: float) -> bool:
         _show(self._model, self._memory, self._layout, ("input", "state"))
         goes_on = self._model.do_step(t, h)
         _store(self._model, self._memory, self._layout, ("state", "output"))

@@ -177,6 +177,8 @@ class Recorder(Observer):
                 new[name] = getattr(outcome, name)
         if outcome.status == "interrupted":
             new["interrupted_at"] = grid.time(outcome.ticks)
+        if outcome.traceback:
+            new["traceback"] = outcome.traceback
         if outcome.last_inputs:
             new["last_inputs"] = json.dumps({k: str(v) if v != v else v for k, v in outcome.last_inputs.items()})
         heard = sum(16 + values.nbytes for values_of in outcome.heard.values() for _, values in values_of)
