@@ -29,4 +29,14 @@ LOOP = Extension(
     optional=True,  # without a C compiler the loop in Python does the same
 )
 
-setup(cmdclass={"build_py": BuildWithModels}, ext_modules=[LOOP])
+WATCH = Extension(
+    "orchestrator._watch",
+    ["orchestrator/_watch.c"],
+    extra_compile_args=["-std=c11", "-pthread"],
+    extra_link_args=["-pthread"],
+    define_macros=[("_POSIX_C_SOURCE", "200809L"), ("_DARWIN_C_SOURCE", "1")],
+    py_limited_api=True,
+    optional=True,  # without it, what holds Python's lock hangs unseen
+)
+
+setup(cmdclass={"build_py": BuildWithModels}, ext_modules=[LOOP] if os.name == "nt" else [LOOP, WATCH])

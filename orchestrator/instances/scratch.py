@@ -33,10 +33,12 @@ class Scratch:
             fcntl.flock(self._lock, fcntl.LOCK_EX)
             (self.path / f"{LOCK}.new").rename(self.path / LOCK)
 
-    def close(self) -> None:
+    def close(self) -> str:
+        """Returns that there is nothing to report, for `watch.at_halt`."""
         shutil.rmtree(self.path, ignore_errors=True)
         if fcntl is not None:
             self._lock.close()
+        return ""
 
 
 @functools.cache  # once a process

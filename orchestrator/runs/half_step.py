@@ -18,10 +18,11 @@ from ..simulation import stability
 from ..simulation.bursts import Bursts
 from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
-from ..simulation.observer import Interrupt, Observer, Outcome
+from ..simulation.observer import Observer, Outcome
 from ..simulation.stability import StabilityVerdict, Suspect
 from ..simulation.system import FmuSource, System
 from ..warning import Kind, Warned
+from ..watch import Interrupt
 from .checkpoint.file import Checkpoint
 from .checkpoint.resume import resume
 

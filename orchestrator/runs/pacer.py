@@ -7,6 +7,7 @@ from typing import Any
 
 from ..plan.plan import Plan
 from ..simulation.observer import Block, Observer
+from ..watch import waits
 
 SLICE = 0.002  # s of wall time between two looks at the clock
 TAIL = 0.05  # s of wall time before the end that the run goes ahead: its last rows are written before it is over
@@ -45,7 +46,7 @@ class Pacer(Observer):
         due = self.due(tick)
         if (wait := due - time.monotonic()) > 0:
             began = time.monotonic()
-            time.sleep(wait)
+            waits(wait)
             self._waited += time.monotonic() - began
         self.late = time.monotonic() - due
         self.latest = max(self.latest, self.late)

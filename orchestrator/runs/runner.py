@@ -23,8 +23,9 @@ from ..records.store.folder import Store
 from ..simulation.bursts import Bursts
 from ..simulation.initialization import initialize
 from ..simulation.master import run as run_master
-from ..simulation.observer import Observer, interruptible
+from ..simulation.observer import Observer
 from ..simulation.system import Context, System
+from ..watch import interruptible
 from . import half_step
 from .checkpoint.file import Checkpoint
 from .checkpoint.observer import CheckpointObserver, paths_of, ticks_of
@@ -118,7 +119,8 @@ def execute(
         with writing(path, plan, run_id) as record:
             begin = partial(resume, plan.origin) if isinstance(plan.origin, Checkpoint) else initialize
             bursts = Bursts(system)
-            record.outcome = run_master(system, [record, *observers, saver], interrupt, begin, bursts)
+            watching = [record, *observers, saver]
+            record.outcome = run_master(system, watching, interrupt, begin, bursts, record.outcome)
             record.outcome.warnings += saver.warnings()
             record.flush()
             half_step.judge(plan, record.outcome, bursts, interrupt)

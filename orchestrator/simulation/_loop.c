@@ -195,6 +195,7 @@ typedef struct {
     Py_ssize_t sample_every, stride;
     double overhead; /* of looking at the clock */
     const int32_t *interrupt;
+    volatile int64_t *place; /* tick * steppers + stepper + 1 */
     int holds_lock, records_inputs;
 } Loop;
 
@@ -439,6 +440,7 @@ static Py_ssize_t advance(const Loop *self, Py_ssize_t first, Py_ssize_t last, c
         for (size_t i = 0; i < self->n_steppers; i++) {
             const Stepper *m = &self->steppers[i];
             if (m->period > 1 && k % m->period) continue;
+            *self->place = (int64_t)k * (int64_t)self->n_steppers + (int64_t)i + 1;
             *status = step(self, m, times[k - first], timed ? marks : NULL);
             if (*status) {
                 *failed = (Py_ssize_t)i;
@@ -700,20 +702,20 @@ static int is_staged(const Loop *self, const Call *c) {
 }
 
 #define PROGRAM_FIELDS                                                                                                 \
-    "steppers tables computed recorded bursts sampled watched seconds samples sample_every interrupt stride "          \
-    "holds_lock records_inputs"
-#define PROGRAM_FORMAT "O!O!(nn)O!O!O!O!OOnOnpp"
+    "steppers tables computed recorded bursts sampled watched seconds samples sample_every interrupt place "           \
+    "stride holds_lock records_inputs"
+#define PROGRAM_FORMAT "O!O!(nn)O!O!O!O!OOnOOnpp"
 static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
     PyObject *program, *steppers, *tables, *recorded, *bursts, *sampled, *watched, *seconds, *samples;
-    PyObject *interrupt;
+    PyObject *interrupt, *place;
     void *places[KINDS];
     if (self->program) return PyErr_SetString(PyExc_RuntimeError, "a Loop is made once"), -1;
     if (keywords) return PyErr_SetString(PyExc_TypeError, "no keywords"), -1;
     if (!PyArg_ParseTuple(arguments, "O!", &PyTuple_Type, &program)) return -1;
     if (!PyArg_ParseTuple(program, PROGRAM_FORMAT, &PyList_Type, &steppers, &PyTuple_Type, &tables, &self->n_reals,
                           &self->n_float32, &PyTuple_Type, &recorded, &PyTuple_Type, &bursts, &PyTuple_Type, &sampled,
-                          &PyTuple_Type, &watched, &seconds, &samples, &self->sample_every, &interrupt, &self->stride,
-                          &self->holds_lock, &self->records_inputs))
+                          &PyTuple_Type, &watched, &seconds, &samples, &self->sample_every, &interrupt, &place,
+                          &self->stride, &self->holds_lock, &self->records_inputs))
         return -1;
     self->program = Py_NewRef(program);
     if (memories_of(tables, 0, self->tables, NULL) < 0 || memories_of(recorded, 1, places, self->n_recorded) < 0)
@@ -724,6 +726,7 @@ static int loop_init(Loop *self, PyObject *arguments, PyObject *keywords) {
     if (!(self->seconds = memory_of(seconds, sizeof(double), NULL))) return -1;
     if (!(self->samples = memory_of(samples, sizeof(int64_t), NULL))) return -1;
     if (!(self->interrupt = memory_of(interrupt, sizeof(int32_t), NULL))) return -1;
+    if (!(self->place = memory_of(place, sizeof(int64_t), NULL))) return -1;
     self->steppers = calloc((size_t)PyList_Size(steppers) + 1, sizeof *self->steppers);
     self->late = calloc((size_t)PyList_Size(steppers) + 1, sizeof *self->late);
     if (!self->steppers || !self->late) return PyErr_NoMemory(), -1;

@@ -41,6 +41,7 @@ def initialize(system: System) -> list[str]:
         set_up(system, stepper)
     warnings = _settle(system)
     for stepper in system.steppers:
+        stepper.doing("is initialized")
         with failing(stepper):
             stepper.instance.begin()
     for stepper in system.steppers:
@@ -57,6 +58,7 @@ def set_up(system: System, stepper: Stepper, start_time: float = 0.0) -> None:
     plan, component = system.plan, stepper.component
     fits = plan.steps % component.period == 0  # else its last step ends beyond the stop time
     stop_time = plan.experiment.master.stop_time if fits else None
+    stepper.doing("is set up")
     with failing(stepper):
         stepper.instance.setup(start_time, stop_time, component.tolerance, {**component.parameters, **component.start})
 
@@ -88,6 +90,7 @@ def exchange(stepper: Stepper, held: Sequence[tuple[Table, int, float]] = ()) ->
 
     Raises ComponentFailed.
     """
+    stepper.doing("is initialized")
     for gather in stepper.gathers:
         gather()
     for buffer, place, value in held:
@@ -99,6 +102,7 @@ def exchange(stepper: Stepper, held: Sequence[tuple[Table, int, float]] = ()) ->
 
 def read(stepper: Stepper) -> None:
     """Take a component's outputs.  Raises ComponentFailed."""
+    stepper.doing("is initialized")
     for get in stepper.gets:
         stepper.check(get())
     for publish in itertools.chain(*stepper.publish):

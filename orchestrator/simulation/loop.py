@@ -20,8 +20,9 @@ import numpy as np
 from ..arrays import Reals, Table, Tables
 from ..fmu.variables import FLOATS, NUMBERS, OBJECTS
 from ..instances.instance import Call
+from ..watch import Interrupt, stepping
 from .bursts import Bursts
-from .observer import Block, Interrupt
+from .observer import Block
 from .program import NOT_FINITE, layout, program_of
 from .sampling import Limits, Samples
 from .stepper import AT_ONCE, EVERY, PERIOD_END, TICK_END, Stepper, Timing
@@ -40,6 +41,8 @@ class Loop(ABC):
         self.ticks = system.plan.first
         self._system, self._samples, self._rows = system, samples, _Rows(system, samples)
         self._limits = limits
+        names = [stepper.component.name for stepper in system.steppers]
+        self._place = stepping(names, system.plan.experiment.master.step)
 
     @abstractmethod
     def advance(self, last: int, patience: float) -> None:
@@ -47,6 +50,10 @@ class Loop(ABC):
 
         Raises ComponentFailed; `ticks` is then the start of the failed step.
         """
+
+    @abstractmethod
+    def halt(self) -> None:
+        """Take what is known of steps that are done while `advance` never returns."""
 
     def take(self) -> list[Block]:
         """The rows since the last call."""
@@ -151,8 +158,18 @@ class InterpretedLoop(Loop):
         self._checked = [system.tables[kind][:n] for kind in FLOATS if (n := system.computed[kind])]
 
     def advance(self, last: int, patience: float) -> None:
+        try:
+            self._advance(last, patience)
+        finally:
+            self._place[0] = 0
+
+    def halt(self) -> None:
+        """Nothing is left: `ticks` and rows are those of the steps that are done."""
+
+    def _advance(self, last: int, patience: float) -> None:
         grid, stride = self._system.plan.experiment.grid, self._system.plan.stride
         clock, flag, checked = time.perf_counter, self._interrupt.flag, self._checked
+        place, components = memoryview(self._place.data), len(self._steppers)
         deadline = clock() + patience
         for k in range(self.ticks, last):
             timed = k % EVERY == 0
@@ -162,6 +179,7 @@ class InterpretedLoop(Loop):
             for number, stepper, period, sets, gets, sums_of_squares in self._steppers:
                 if period > 1 and k % period:
                     continue
+                place[0] = k * components + number + 1
                 marks = [clock()] if timed else None
                 for gather in stepper.gathers:
                     gather()
@@ -219,20 +237,35 @@ class CompiledLoop(Loop):
         interrupt: Interrupt,
     ):
         super().__init__(system, samples, limits)
-        self._loop = loop(program_of(system, bursts, samples, limits, timing, interrupt))
+        self._loop = loop(program_of(system, bursts, samples, limits, timing, interrupt, self._place))
+        self._chunk: tuple[int, Tables, Reals] = self.ticks, {}, np.empty(0)
 
     def advance(self, last: int, patience: float) -> None:
         first, stride = self.ticks, self._system.plan.stride
-        ticks = range(first - first % stride + stride, last + 1, stride)
-        rows, bounds = self._rows.empty(len(ticks)), self._samples.empty(len(ticks))
+        n = last // stride - first // stride
+        rows, bounds = self._rows.empty(n), self._samples.empty(n)
         times = self._system.plan.experiment.grid.times(first, last)
-        self.ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()), bounds)
-        self._rows.extend(ticks[: self.ticks // stride - first // stride], rows, bounds)
+        self._chunk = first, rows, bounds
+        try:
+            ticks, failed, status = self._loop.advance(first, last, times, patience, tuple(rows.values()), bounds)
+        finally:
+            self._place[0] = 0
+        self._complete(ticks)
         if failed >= 0:
             stepper = self._system.steppers[failed]
             if status == NOT_FINITE:
                 stepper.check_finite()
             stepper.check(status)
+
+    def halt(self) -> None:
+        if place := int(self._place[0]):
+            self._complete((place - 1) // len(self._system.steppers))
+
+    def _complete(self, tick: int) -> None:
+        """All steps of the chunk until `tick` are done."""
+        (first, rows, bounds), stride = self._chunk, self._system.plan.stride
+        self.ticks = tick
+        self._rows.extend(range(first - first % stride + stride, tick + 1, stride), rows, bounds)
 
 
 class _Rows:

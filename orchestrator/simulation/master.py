@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from ..instances.instance import DISCARD
 from ..instances.live import LiveInstance
+from ..watch import Interrupt, at_halt, doing
 from .bursts import Bursts
 from .initialization import AlgebraicLoop, initialize
 from .loop import Loop, choose, out_of_date
-from .observer import Interrupt, Observer, Outcome
+from .observer import Observer, Outcome
 from .sampling import Limits, Samples
 from .stepper import ComponentFailed, Timing
 from .system import System
@@ -37,20 +39,22 @@ def run(
     interrupt: Interrupt | None = None,
     begin: Callable[[System], list[str]] = initialize,
     bursts: Bursts | None = None,
+    outcome: Outcome | None = None,
 ) -> Outcome:
     """Run the opened system to its end, to a failure, or until `interrupt` is set.
 
     begin: brings the system to the values of its first row and returns warnings; it may raise what `initialize` does.
-    bursts: of the system, filled on the way.
+    bursts: of the system, filled on the way.  outcome: a new one, filled on the way, and by `watch.at_halt` where a
+    component never returns.
     """
-    outcome, interrupt = Outcome(status="completed", ticks=system.plan.first), interrupt or Interrupt()
+    outcome, interrupt = outcome or Outcome(ticks=system.plan.first), interrupt or Interrupt()
     try:
-        outcome.warnings += system.plan.warnings
-        outcome.warnings += begin(system)
-        outcome.calculated = system.calculated()
-        for observer in observers:
-            observer.opened(system.view)
-        _step_all(system, observers, outcome, interrupt, bursts or Bursts(system))
+        with at_halt(partial(_halt, system, outcome)):
+            _run(system, observers, outcome, interrupt, begin, bursts or Bursts(system))
+    except KeyboardInterrupt:
+        if not interrupt.urgent:
+            raise
+        _interrupted(system, outcome)
     except ComponentFailed as failure:
         _fail(system, outcome, _cause(system, failure), interrupt)
     except AlgebraicLoop as loop:
@@ -61,7 +65,37 @@ def run(
         if isinstance(instance, LiveInstance):
             outcome.heard[name] = instance.heard
         outcome.warnings += [f"{name}: {message}" for message in instance.take_messages()]
+    if outcome.status == "running":
+        outcome.status = "completed"
     return outcome
+
+
+def _run(
+    system: System,
+    observers: Sequence[Observer],
+    outcome: Outcome,
+    interrupt: Interrupt,
+    begin: Callable[[System], list[str]],
+    bursts: Bursts,
+) -> None:
+    outcome.warnings += system.plan.warnings
+    outcome.warnings += begin(system)
+    outcome.calculated = system.calculated()
+    doing("")
+    for observer in observers:
+        observer.opened(system.view)
+    _step_all(system, observers, outcome, interrupt, bursts)
+
+
+def _interrupted(system: System, outcome: Outcome, words: str = "") -> None:
+    outcome.status = "interrupted"
+    outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(outcome.ticks):.10g} s{words}"
+
+
+def _halt(system: System, outcome: Outcome) -> str:
+    """The end of a run of which a component never returns."""
+    _interrupted(system, outcome, ", by force")
+    return ""
 
 
 def _cause(system: System, failure: ComponentFailed) -> ComponentFailed:
@@ -74,9 +108,9 @@ def _cause(system: System, failure: ComponentFailed) -> ComponentFailed:
 
 def _fail(system: System, outcome: Outcome, failure: ComponentFailed, interrupt: Interrupt) -> None:
     grid = system.plan.experiment.grid
-    if interrupt.is_set() and failure.stepper.instance.batched:  # it did not answer after the interruption
-        outcome.status = "interrupted"
-        outcome.error = f"interrupted at t = {grid.time(outcome.ticks):.10g} s; {failure.name!r}: {failure}"
+    if interrupt.urgent or (interrupt.is_set() and failure.stepper.instance.batched):
+        # It did not answer after the interruption, or a KeyboardInterrupt has ended what it did.
+        _interrupted(system, outcome, f"; {failure.name!r}: {failure}")
         return
     if failure.status == DISCARD and failure.stepper.instance.wants_to_end():
         outcome.stopped_at = grid.time(outcome.ticks)
@@ -99,27 +133,38 @@ def _step_all(
     _hand_over(loop, observers)
     first, steps, chunk, largest = loop.ticks, system.plan.steps, 1, _largest_chunk(system)
     began = time.perf_counter()
+
+    def reached() -> None:
+        outcome.ticks = loop.ticks
+        samples.evaluate(loop.ticks)
+        _hand_over(loop, observers)
+
+    def halt() -> str:
+        loop.halt()
+        reached()
+        outcome.metrics = samples.results()
+        return ""
+
     try:
-        while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
-            since = time.perf_counter()
-            try:
-                last = samples.limit(loop.ticks, min(steps, loop.ticks + chunk))
+        with at_halt(halt):
+            while loop.ticks < steps and not interrupt.is_set() and outcome.stopped_at is None:
+                since = time.perf_counter()
+                try:
+                    last = samples.limit(loop.ticks, min(steps, loop.ticks + chunk))
+                    for observer in observers:
+                        last = observer.limit(loop.ticks, last)
+                    loop.advance(last, CHUNK_SECONDS)
+                except ComponentFailed as failure:
+                    if not _ends_with_its_step(system, loop.ticks, failure):
+                        raise
+                    loop.complete(system.steppers.index(failure.stepper))
+                    outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
+                finally:
+                    reached()
+                elapsed = time.perf_counter() - since
+                chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
                 for observer in observers:
-                    last = observer.limit(loop.ticks, last)
-                loop.advance(last, CHUNK_SECONDS)
-            except ComponentFailed as failure:
-                if not _ends_with_its_step(system, loop.ticks, failure):
-                    raise
-                loop.complete(system.steppers.index(failure.stepper))
-                outcome.stopped_at = system.plan.experiment.grid.time(loop.ticks)
-            finally:
-                outcome.ticks = loop.ticks
-                samples.evaluate(loop.ticks)
-                _hand_over(loop, observers)
-            elapsed = time.perf_counter() - since
-            chunk = max(1, min(2 * chunk, int(chunk * CHUNK_SECONDS / max(elapsed, 1e-6)), largest))
-            for observer in observers:
-                observer.progress(loop.ticks)
+                    observer.progress(loop.ticks)
     finally:  # also of a run that fails, or that an FMU ends
         outcome.metrics = samples.results()
         timing.stepping = time.perf_counter() - began
@@ -136,8 +181,7 @@ def _step_all(
         outcome.warnings += limits.warnings()
         outcome.warnings += samples.warnings()
     if loop.ticks < steps and outcome.stopped_at is None:
-        outcome.status = "interrupted"
-        outcome.error = f"interrupted at t = {system.plan.experiment.grid.time(loop.ticks):.10g} s"
+        _interrupted(system, outcome)
 
 
 def _ends_with_its_step(system: System, tick: int, failure: ComponentFailed) -> bool:

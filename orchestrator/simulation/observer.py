@@ -1,15 +1,10 @@
-"""Who watches a run: what an observer is given, how a run is interrupted, and how it ended."""
+"""Who watches a run: what an observer is given, and how a run ended."""
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 if TYPE_CHECKING:
     from ..arrays import Reals, Table
@@ -69,38 +64,11 @@ class Observer:
         return {}
 
 
-class Interrupt:
-    """A flag that both loops look at in every step."""
-
-    def __init__(self) -> None:
-        self.flag = np.zeros(1, dtype=np.int32)
-
-    def set(self) -> None:
-        self.flag[0] = 1
-
-    def is_set(self) -> bool:
-        return bool(self.flag[0])
-
-
-@contextmanager
-def interruptible() -> Iterator[Interrupt]:
-    """Ctrl-C sets a flag: a KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU."""
-    interrupt = Interrupt()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupt
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: interrupt.set())
-    try:
-        yield interrupt
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 @dataclass(kw_only=True)
 class Outcome:
     """How a run ended.  Times in s."""
 
-    status: str  # completed, failed or interrupted
+    status: str = "running"  # then completed, failed or interrupted
     ticks: int = 0  # at which it ended
     error: str = ""
     failed_at: float | None = None

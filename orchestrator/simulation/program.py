@@ -13,8 +13,8 @@ import numpy as np
 from ..arrays import Places, Reals, References, Table, Truths
 from ..fmu.variables import FLOATS, NUMBERS
 from ..instances.instance import Verb, references_of
+from ..watch import Interrupt
 from .bursts import Bursts, BurstsProgram, ClockProgram
-from .observer import Interrupt
 from .sampling import ANGLE, LIMIT, Limits, Samples, SamplesProgram, WatchedProgram
 from .stepper import EVERY, Getter, Moment, Setter, Stepper, Timing
 from .system import System
@@ -72,13 +72,14 @@ class Program(NamedTuple):
     samples: Table  # (steppers,) int64
     sample_every: int  # ticks
     interrupt: Table  # (1,) int32
+    place: Table  # (1,) int64, see `watch.stepping`
     stride: int  # ticks from row to row
     holds_lock: bool  # Python's, while it steps
     records_inputs: bool
 
 
 def program_of(
-    system: System, bursts: Bursts, samples: Samples, limits: Limits, timing: Timing, interrupt: Interrupt
+    system: System, bursts: Bursts, samples: Samples, limits: Limits, timing: Timing, interrupt: Interrupt, place: Table
 ) -> Program:
     """The program of an opened system.  The system must stay open while it is used."""
     plan = system.plan
@@ -94,6 +95,7 @@ def program_of(
         samples=timing.samples,
         sample_every=EVERY,
         interrupt=interrupt.flag,
+        place=place,
         stride=plan.stride,
         # Python FMUs take the interpreter's lock at each call: that costs more than holding it.
         holds_lock=any(s.instance.batched or s.component.fmu.packaging == "python" for s in system.steppers),

@@ -17,6 +17,7 @@ from ..arrays import Places, Table
 from ..fmu.variables import FLOATS, Variable
 from ..instances.instance import ERROR, Call, CallFailed, Instance, references_of
 from ..plan.plan import Component
+from ..watch import doing
 
 Action = Callable[[], object]
 EVERY = 127  # ticks; a prime, so that no slower component is missed or favoured
@@ -145,6 +146,10 @@ class Stepper:
         """Raises ComponentFailed where an output is not finite."""
         if message := self.not_finite():
             raise ComponentFailed(self, message)
+
+    def doing(self, what: str) -> None:
+        """Say what is done with it, such as "is freed", in case that it never returns."""
+        doing(f"{self.component.name!r} {what}")
 
     def check(self, status: int) -> None:
         """Raises ComponentFailed unless a status of FMI is OK or a warning."""

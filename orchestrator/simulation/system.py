@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Places, Tables, aligned
+from ..errors import FmuError
 from ..fmu.fmu import Fmu, unpack
 from ..fmu.variables import DTYPES, KINDS, NUMBERS, OBJECTS, Variable
 from ..instances import instantiate
@@ -26,6 +27,7 @@ from ..instances.library import Library
 from ..instances.live import LiveInstance
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
+from ..watch import at_halt, doing
 from .observer import SystemView
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Getter, Publication, Setter, Stepper, failing
 
@@ -53,16 +55,23 @@ class System:
     outputs; `recorded`: {kind: places}; `places`: {(component, variable): place in the table of its kind}.
     """
 
-    def __init__(self, plan: Plan, interrupted: Callable[[], bool], context: Context, source: FmuSource):
+    def __init__(
+        self, plan: Plan, interrupted: Callable[[], bool], context: Context, source: FmuSource, folder: Scratch
+    ):
         self.plan, self._interrupted, self._context, self._source = plan, interrupted, context, source
         self.steppers: list[Stepper] = []
         self.tables: Tables = {}
         self.recorded: dict[str, Places] = {}
         self.names: dict[str, list[str]] = {kind: [] for kind in KINDS}  # by place
         self.places: dict[tuple[str, str], int] = {}  # of a component's variable in the table of its kind
-        self._folder = Scratch()
+        self._folder = folder
         try:
-            self._instantiate()
+            try:
+                self._instantiate()
+            except FmuError:
+                if self._interrupted():  # that may be why
+                    raise KeyboardInterrupt from None
+                raise
             self._wire()
         except BaseException:
             self.close()
@@ -82,17 +91,20 @@ class System:
         context: {component: what a builtin may need}.  Raises FmuError where an FMU cannot be instantiated,
         KeyboardInterrupt where the user has `interrupted` meanwhile.
         """
-        system = cls(plan, interrupted, context or {}, source or FmuSource())
-        try:
+        with contextlib.ExitStack() as stack:
+            folder = Scratch()
+            stack.callback(folder.close)
+            stack.enter_context(at_halt(folder.close))
+            system = cls(plan, interrupted, context or {}, source or FmuSource(), folder)
+            stack.callback(system.close)
             yield system
-        finally:
-            system.close()
 
     def close(self) -> None:
         for stepper in self.steppers:
+            stepper.doing("is freed")
             stepper.instance.close()
+        doing("")
         sys.path[:] = [p for p in sys.path if not p.startswith(str(self._folder.path))]
-        self._folder.close()
 
     @cached_property
     def view(self) -> SystemView:
@@ -123,6 +135,7 @@ class System:
         for component in self.plan.components:
             if self._interrupted():
                 raise KeyboardInterrupt
+            doing(f"{component.name!r} is loaded")
             path = component.fmu.path
             if path not in folders and not component.live:
                 folders[path] = self._folder.path / str(len(folders)) / component.fmu.model_identifier

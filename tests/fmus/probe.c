@@ -46,6 +46,7 @@ void *fmi2Instantiate(const char *name, int type, const char *guid, const char *
     }
 #ifdef TRAP
     if (!strcmp(name, "falls")) *(volatile int *)0 = 1;
+    if (!strcmp(name, "never_loads")) for (;;) ;
 #endif
     p = calloc(1, sizeof *p);
     p->callbacks = callbacks;
@@ -91,6 +92,9 @@ int fmi2Reset(Probe *p) { return OK; }
 
 void fmi2FreeInstance(Probe *p) {
     expect(p, "fmi2FreeInstance", p->state != FAILED);
+#ifdef TRAP
+    if (!strcmp(p->name, "never_freed")) for (;;) ;
+#endif
     free(p);
 }
 

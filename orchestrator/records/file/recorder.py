@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from ...fmu.variables import DTYPES
 from ...plan.plan import Plan
 from ...simulation.observer import Block, Observer, Outcome
 from ...warning import kinds_of
+from ...watch import at_halt, doing
 from .datasets import TIME, DatasetSpec, datasets_of, envelope_of, image
 from .format import HEARD
 from .hdf5 import attach_scales, create_attributes, image_of, in_memory, overwrite_attributes, write_rows
@@ -51,8 +53,11 @@ def writing(
     recorder = Recorder(path, plan, run_id, facts or {})
     try:
         try:
-            yield recorder
-            recorder.finish()
+            with at_halt(recorder.halt):
+                yield recorder
+                doing("the record is written")
+                recorder.finish()
+                doing("")
         except StoreError as error:
             recorder.give_up(error)
     except BaseException:
@@ -69,10 +74,11 @@ class Recorder(Observer):
 
     def __init__(self, path: Path, plan: Plan, run_id: str, facts: Mapping[str, Any]):
         self.path, self._plan = path, plan
-        self.outcome = Outcome(status="running", ticks=plan.first)
+        self.outcome = Outcome(ticks=plan.first)
         self.wall_time = self.real_time_factor = math.nan
         self.metrics: Mapping[str, float] = {}
         self._waiting: list[Block] = []
+        self._writing = threading.Lock()
         self._rows, self._tick = 0, plan.first  # on disk, and of the last one of them
         specs, self._envelope, self._most = datasets_of(plan), envelope_of(plan), plan.steps // plan.stride + 1
         names = tuple(component.name for component in plan.components)
@@ -105,7 +111,8 @@ class Recorder(Observer):
         blocks, self._waiting = self._waiting, []
         self._flushed = time.monotonic()
         if blocks:
-            self._write(blocks)
+            with self._writing:
+                self._write(blocks)
         if self._ended is None:
             self._ended = time.monotonic()
 
@@ -133,9 +140,18 @@ class Recorder(Observer):
     def finish(self) -> None:
         """Write the rows that wait, how the run ended, and its metrics; the status is written last."""
         self.flush()
-        self._conclude()
-        self.metrics = self.outcome.metrics
-        self._close()
+        with self._writing:
+            self._conclude()
+            self.metrics = self.outcome.metrics
+            self._close()
+
+    def halt(self) -> str:
+        """Finish it while another thread never returns: unless that happens to write, then what was flushed stays."""
+        if not self._writing.acquire(blocking=False):
+            return f"{self.path}: its last rows are not written"
+        self._writing.release()
+        self.finish()
+        return f"{self.path}: {self.outcome.error or self.outcome.status}"
 
     def give_up(self, error: StoreError) -> None:
         """Close a record that could not be written further, as that of a failed run.

@@ -13,8 +13,8 @@ from ....records.file.recorder import Recorder, writing
 from ....runs import half_step
 from ....simulation.bursts import Bursts
 from ....simulation.master import run as run_master
-from ....simulation.observer import Interrupt
 from ....simulation.system import FmuSource, System
+from ....watch import Interrupt
 
 DECIMATED = 500  # rows of a decimated record, the first not counted, at most
 
@@ -38,7 +38,7 @@ def perform(
     ):
         bursts = Bursts(system)
         writers = [] if keep == "metrics" else [record]
-        record.outcome = run_master(system, writers, interrupt, bursts=bursts)
+        record.outcome = run_master(system, writers, interrupt, bursts=bursts, outcome=record.outcome)
         record.flush()
         half_step.judge(plan, record.outcome, bursts, interrupt, source)
     return record

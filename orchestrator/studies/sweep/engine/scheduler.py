@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from ....errors import OrchError, StoreError
 from ....records.file.provenance import git_commit
-from ....simulation.observer import Interrupt, interruptible
+from ....watch import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep, SweepJob
 from . import cluster, fmu_cache, table, worker

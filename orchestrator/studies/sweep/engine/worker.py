@@ -21,7 +21,7 @@ from ....records.file.access import UNREADABLE
 from ....records.file.marks import Standing, kinds_of
 from ....records.file.provenance import versions
 from ....records.file.run import Run
-from ....simulation.observer import Interrupt
+from ....watch import Interrupt
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache

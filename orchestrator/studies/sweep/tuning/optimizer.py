@@ -24,7 +24,7 @@ from ....experiment.tune import read as read_tune
 from ....files import write_text
 from ....records.file.provenance import git_commit
 from ....runs.prepare import Report, load_experiment
-from ....simulation.observer import Interrupt, interruptible
+from ....watch import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, PreparedSweep, SweepJob, prepare_as
 from ..engine import cluster, worker

@@ -25,8 +25,9 @@ from ....errors import RunError, StoreError
 from ....plan.plan import Plan
 from ....runs.prepare import prepare
 from ....simulation.master import run as run_master
-from ....simulation.observer import Block, Observer, interruptible
+from ....simulation.observer import Block, Observer
 from ....simulation.system import System
+from ....watch import interruptible
 from ... import processes
 from ...progress import CommandProgress
 from .chapter5 import Case
