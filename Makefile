@@ -39,7 +39,7 @@ bench: $(VENV)/.installed-bench
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: $(VENV)/bin/python pyproject.toml setup.py orchestrator/simulation/_loop.c
+$(VENV)/.installed: $(VENV)/bin/python pyproject.toml setup.py orchestrator/simulation/_loop.c orchestrator/_watch.c
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	touch $@
 

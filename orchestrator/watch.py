@@ -30,9 +30,9 @@ import numpy as np
 from .arrays import Table
 
 try:
-    from . import _watch
+    from ._watch import SIZE, start, stop
 except ImportError:  # no compiler, or Windows
-    _watch = None  # type: ignore[assignment]
+    SIZE = 0
 
 SLOW = float(os.environ.get("ORCH_SLOW", "60"))  # s without progress, which are reported
 LOOK = min(0.25, SLOW / 4)  # s between two looks
@@ -193,7 +193,7 @@ class _Watch:
                 yield
             finally:
                 if line is not None:
-                    _watch.stop(line)
+                    stop(line)
                 if self._handled:
                     signal.set_wakeup_fd(earlier)
                 self._stopping = True
@@ -201,10 +201,10 @@ class _Watch:
                 thread.join()
 
     def _second_line(self) -> object:
-        if _watch is None or _watch.SIZE != BOARD.itemsize:
+        if BOARD.itemsize != SIZE:
             return None
         signals = self._signals.fileno() if self._handled else -1
-        return _watch.start(self._board, signals, REPORTS, SLOW, TERMINATION, self.halt)
+        return start(self._board, signals, REPORTS, SLOW, TERMINATION, self.halt)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.interrupt.set()

@@ -9,7 +9,6 @@ import time
 import h5py
 import pytest
 
-import orchestrator
 from commands import DEADLINE, ORCH, poll
 from experiments import merged, single
 from fmu_files import PROBE_VARIABLES, SOURCES, needs_compiler, probe_fmu

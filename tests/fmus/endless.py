@@ -1,3 +1,4 @@
+import contextlib
 import itertools
 
 from uuv import Output, Parameter, PythonModel, Signal
@@ -32,7 +33,5 @@ class Endless(PythonModel):
 
     def stubborn(self):
         while True:
-            try:
+            with contextlib.suppress(BaseException):
                 self.loop()
-            except BaseException:
-                pass
