@@ -16,6 +16,7 @@ does the same with a thread that needs no lock.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import signal
 import socket
@@ -24,15 +25,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
+from typing import Any
 
 import numpy as np
 
 from .arrays import Table
 
-try:
-    from ._watch import SIZE, start, stop
+try:  # by name: import-linter takes what is compiled for the package that it lies in
+    _watch: Any = importlib.import_module("._watch", __package__)
 except ImportError:  # no compiler, or Windows
-    SIZE = 0
+    _watch = None
 
 SLOW = float(os.environ.get("ORCH_SLOW", "60"))  # s without progress, which are reported
 LOOK = min(0.25, SLOW / 4)  # s between two looks
@@ -193,7 +195,7 @@ class _Watch:
                 yield
             finally:
                 if line is not None:
-                    stop(line)
+                    _watch.stop(line)
                 if self._handled:
                     signal.set_wakeup_fd(earlier)
                 self._stopping = True
@@ -201,10 +203,10 @@ class _Watch:
                 thread.join()
 
     def _second_line(self) -> object:
-        if BOARD.itemsize != SIZE:
+        if _watch is None or BOARD.itemsize != _watch.SIZE:
             return None
         signals = self._signals.fileno() if self._handled else -1
-        return start(self._board, signals, REPORTS, SLOW, TERMINATION, self.halt)
+        return _watch.start(self._board, signals, REPORTS, SLOW, TERMINATION, self.halt)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.interrupt.set()
