@@ -123,6 +123,36 @@ def test_differences_of_angles_are_on_the_circle_in_metrics(orch, write, poses):
     assert values["as_it_stands"] == pytest.approx(210.0)
 
 
+@pytest.mark.parametrize(
+    ("apart", "mean"), [(0.0, 0.0), (90.0, 90.0), (180.0, 180.0), (-179.9999, 180.0001), (-179.0, -179.0)]
+)
+def test_a_heading_difference_is_on_the_circle(orch, write, poses, apart, mean):
+    """A vehicle that looks 1.2 degrees to either side of a direction: the mean is the direction, wherever it lies."""
+    table = poses({})
+    swing = {"psi_0": np.radians(apart - 1.2), "rate": np.radians(2.4), "wraps": True}
+    table["components"]["wrapped"]["parameters"] = swing
+    table["components"]["continuous"]["parameters"] = {"psi_0": 0.0, "rate": 0.0, "wraps": False}
+    both = {"of": "heading_difference", "signal": "wrapped.eta_d", "reference": "continuous.eta_d"}
+    table |= {"master": {"stop_time": 1.0, "step": 0.01}}
+    table |= {"metrics": {stat: both | {"stat": stat} for stat in ("mean", "min", "max")}}
+    values = orch("run", write(table), "--json").json["metrics"]
+    assert values["mean"] == pytest.approx(mean, abs=1e-9)
+    assert values["min"] == pytest.approx(mean - 1.2, abs=1e-9)
+    assert values["max"] == pytest.approx(mean + 1.2, abs=1e-9)
+
+
+def test_a_heading_that_turns_round_deviates_by_half_a_turn(orch, write, poses):
+    table = poses({})
+    table["components"]["wrapped"]["parameters"] = {"psi_0": 0.0, "rate": 2 * np.pi * 1.25, "wraps": True}
+    table["components"]["continuous"]["parameters"] = {"psi_0": 0.0, "rate": 0.0, "wraps": False}
+    both = {"of": "heading_difference", "signal": "wrapped.eta_d", "reference": "continuous.eta_d"}
+    table |= {"master": {"stop_time": 1.0, "step": 0.01}}
+    table |= {"metrics": {stat: both | {"stat": stat} for stat in ("mean", "min", "max")}}
+    values = orch("run", write(table), "--json").json["metrics"]
+    assert values["mean"] == pytest.approx(45.0, abs=2.0)  # of the quarter that it passes once more
+    assert (values["min"], values["max"]) == pytest.approx((values["mean"] - 180.0, values["mean"] + 180.0))
+
+
 def test_wrap_puts_a_signal_that_is_no_declared_angle_on_the_circle(orch, write, poses):
     """The heading in deg of `small` is 350 less 0.01 degrees, its bearing -10: 0.01 apart, declared by nobody."""
     both = {"of": "max_abs", "signal": "small.heading", "reference": "small.bearing"}

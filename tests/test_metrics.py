@@ -181,22 +181,21 @@ def test_distance_is_euclidean():
     ("heading", "other", "degrees"),
     [
         (math.pi, 0.0, 180.0),
-        (0.0, math.pi / 2, 270.0),
+        (0.0, math.pi / 2, -90.0),
         (5 * math.pi, 0.0, 180.0),
         (-3 * math.pi, math.pi / 2, 90.0),
         (0.1, 0.1, 0.0),
     ],
 )
-def test_heading_difference_lies_between_0_and_360_degrees(heading, other, degrees):
+def test_heading_difference_lies_within_half_a_turn(heading, other, degrees):
     result = taken("heading_difference", T[:1], np.array([[heading]]), np.array([[other]]))
     assert result == pytest.approx(degrees, abs=1e-9)  # rounding of multiples of pi
 
 
 @pytest.mark.parametrize("stat", ["min", "max"])
-def test_heading_difference_never_gives_360_degrees(stat):
-    """Just below zero, the remainder rounds to 360."""
+def test_heading_difference_just_below_zero_is_no_turn(stat):
     tiny = np.array([[-1e-20, -1e-16, 0.0, 1e-20]])
-    assert 0.0 <= taken("heading_difference", T[:4], tiny, np.zeros((1, 4)), stat=stat) < 360.0
+    assert taken("heading_difference", T[:4], tiny, np.zeros((1, 4)), stat=stat) == pytest.approx(0.0, abs=1e-13)
 
 
 # --- In an experiment -------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ def plain(spec, run):
         one, other = (run[name][chosen] for name in ("vehicle.one", "vehicle.other"))
         numbers = np.linalg.norm((one - other)[:, :3], axis=1)
         if spec["of"] == "heading_difference":
-            numbers = np.degrees(one[:, 5] - other[:, 5]) % 360.0
+            return heading_difference(one[:, 5] - other[:, 5], spec.get("stat", "mean"))
         return getattr(numbers, spec.get("stat", "mean"))()
     error = run[spec["signal"]]
     if "reference" in spec:
@@ -99,6 +99,16 @@ def plain(spec, run):
     if "unit" in spec:
         error = error * {"mm": 1e3, "km": 1e-3, "deg": 180 / math.pi}[spec["unit"]]
     return SCALAR[spec["of"]](t, error[chosen], spec.get("band"))
+
+
+def heading_difference(difference, stat):
+    """The circular mean, or that and the farthest deviation from it to one side.  difference: (n,) [rad]; in deg."""
+    mean = np.angle(np.exp(1j * difference).mean())
+    deviations = np.unwrap(difference)
+    deviations = deviations - mean - 2 * math.pi * np.round((deviations.mean() - mean) / (2 * math.pi))
+    if abs(deviations).max() > math.pi:
+        deviations = np.array([-math.pi, math.pi])
+    return math.degrees({"mean": mean, "min": mean + deviations.min(), "max": mean + deviations.max()}[stat])
 
 
 def power(spec, u):

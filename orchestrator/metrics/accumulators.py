@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..arrays import Reals
 
 SETTLED_SHARE = 0.1  # of the window: a signal that is inside the band for less is passing through
+OPPOSITE = 180.0005  # deg: a mean that shows as -180 is written as 180, and so are the extremes around it
 
 
 class Accumulator(ABC):
@@ -265,19 +266,16 @@ class MeanPower(Energy):
         return super().result() / duration if duration else math.nan
 
 
-class Statistic(Accumulator):
-    """The mean, least or largest of what `number` makes of two vectors."""
+class Distance(Accumulator):
+    """Euclidean distance between two points"""
 
     def __init__(self, stat: str = "mean"):
         self._stat, self._sum, self._n = stat, 0.0, 0
         self._least, self._largest = math.inf, -math.inf
 
-    @abstractmethod
-    def number(self, *vectors: Reals) -> Reals:
-        """(n,), of vectors (axes, n)."""
-
     def update(self, time: Reals, *values: Reals) -> None:
-        numbers = self.number(*values)
+        position, other = values
+        numbers = distance(position.T, other.T)
         self._sum += float(numbers.sum())
         self._n += len(numbers)
         self._least, self._largest = min(self._least, float(numbers.min())), max(self._largest, float(numbers.max()))
@@ -286,26 +284,48 @@ class Statistic(Accumulator):
         return {"mean": self._sum / self._n, "min": self._least, "max": self._largest}[self._stat]
 
 
-class Distance(Statistic):
-    """Euclidean distance between two points"""
+class HeadingDifference(Accumulator):
+    """heading - other, its circular mean in (-180, 180]; min and max: that plus the farthest deviations to either side
 
-    def number(self, *vectors: Reals) -> Reals:
-        position, other = vectors
-        return distance(position.T, other.T)
+    Deviations are followed from sample to sample, so that passing +-180 degrees is no jump.
+    """
 
+    def __init__(self, stat: str = "mean"):
+        self._stat = stat
+        self._sine = self._cosine = self._sum = 0.0
+        self._n = 0
+        self._last = self._turned = math.nan  # the last difference [deg], as it came and without jumps
+        self._least, self._largest = math.inf, -math.inf  # without jumps
 
-class HeadingDifference(Statistic):
-    """heading - other, in [0, 360) degrees"""
+    def update(self, time: Reals, *values: Reals) -> None:
+        heading, other = values
+        angle = heading[0] - other[0]
+        self._sine += float(np.sin(angle).sum())
+        self._cosine += float(np.cos(angle).sum())
+        difference = angle * (180 / math.pi)
+        if math.isnan(self._last):
+            self._last = self._turned = float(difference[0])
+        jumps = np.round((difference - np.r_[self._last, difference[:-1]]) / 360.0)
+        turned = difference + (self._turned - self._last)
+        if jumps.any():
+            turned = turned - 360.0 * np.cumsum(jumps)
+        self._last, self._turned = float(difference[-1]), float(turned[-1])
+        self._sum += float(turned.sum())
+        self._n += len(turned)
+        self._least, self._largest = min(self._least, float(turned.min())), max(self._largest, float(turned.max()))
 
-    def number(self, *vectors: Reals) -> Reals:
-        heading, other = vectors
-        difference = (heading[0] - other[0]) * (180 / math.pi)
-        # What the remainder is within a turn: it takes ten times as long.
-        result: Reals = np.where(difference < 0.0, difference + 360.0, abs(difference))
-        if not (abs(difference) < 360.0).all():
-            result = difference % 360.0
-        result[result == 360.0] = 0.0  # the remainder of a difference just below zero rounds to 360
-        return result
+    def result(self) -> float:
+        mean = math.degrees(math.atan2(self._sine, self._cosine))
+        if mean < OPPOSITE - 360.0:
+            mean += 360.0
+        if self._stat == "mean":
+            return mean
+        arithmetic = self._sum / self._n
+        center = arithmetic - math.remainder(arithmetic - mean, 360.0)  # the mean, as many turns on
+        low, high = self._least - center, self._largest - center
+        if low < -180.0 or high > 180.0:  # it passed the side opposite to its mean
+            low, high = -180.0, 180.0
+        return mean + (low if self._stat == "min" else high)
 
 
 def on_circle(difference: Reals, turn: float) -> Reals:
