@@ -1,5 +1,14 @@
 """What an FMU declares is honoured, refused or noted."""
 
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi
 import h5py
 import pytest
 
@@ -183,3 +192,152 @@ def test_a_failure_of_a_python_model_has_its_file_and_line_and_the_record_the_tr
         "        ^^^^^^\n"
         "TypeError: object of type 'int' has no len()"
     )
+
+
+# --- Data files -------------------------------------------------------------------------------------------------------
+
+POINTS = """
+import numpy as np
+from uuv import File, Output, Parameter, PythonModel, Signal
+
+
+class Points(PythonModel):
+    y = Output(Signal((), "m", "a set point"))
+    data = File("points.csv")
+
+    def __init__(self):
+        self.points = np.loadtxt(self.data, ndmin=1)
+
+    def do_step(self, t, h):
+        self.y = self.points[int(t > 0.015)] + len(self.data.read_text())
+"""
+TRACED = """
+import numpy as np
+from uuv import File, Model, Output, Parameter, Signal
+
+
+class Traced(Model):
+    y = Output(Signal((), "m", "a set point"))
+    gain = Parameter(1.0)
+    data = File("points.csv")
+
+    def step(self, t, h):
+        return {"y": self.gain * np.loadtxt(self.data)[0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "packaging", "values"),
+    [
+        ("points", POINTS, "python", ([16.0, 16.0, 16.0, 17.0], [18.0, 18.0, 18.0, 23.0])),
+        ("traced", TRACED, "native", ([8.0] * 4, [9.0] * 4)),
+        ("traced", TRACED, "python", ([8.0] * 4, [9.0] * 4)),
+    ],
+)
+def test_a_data_file_is_packed_and_decides_the_run_id(orch, write, tmp_path, name, source, packaging, values):
+    (tmp_path / f"{name}.py").write_text(source)
+    table = alone(name)
+    table["master"]["stop_time"] = 0.03
+    records = []
+    for text, expected in zip(("8.0\n9.0\n", "9.0\n14.0\n"), values, strict=True):
+        (tmp_path / "points.csv").write_text(text)
+        if not records:
+            assert orch("build", f"{name}.py", f"--{packaging}").code == 0
+        answer = orch("run", write(table), "--packaging", packaging, "--json")
+        assert answer.code == 0, answer.err
+        record = orchestrator.open_run(tmp_path / answer.json["file"])
+        assert record.fact("one", "packaging") == packaging
+        assert record["one.y"].tolist() == expected
+        records.append(record)
+    assert records[0].run_id != records[1].run_id
+    digest = hashlib.sha256(b"9.0\n14.0\n").hexdigest()
+    with h5py.File(records[1].path, locking=False) as file:
+        assert json.loads(file["one"].attrs["data_files"]) == {"points.csv": digest}
+    assert f"points.csv {digest[:10]}" in orch("fmus", name).out
+    (tmp_path / "points.csv").unlink()
+    answer = orch("build", f"{name}.py", f"--{packaging}", "--force")
+    assert answer.code == 2
+    assert f"data: no data file '{tmp_path / 'points.csv'}'" in answer.err
+
+
+def test_a_python_model_reads_its_data_file_again_in_a_second_run_of_one_process(python, write, tmp_path):
+    (tmp_path / "points.py").write_text(POINTS)
+    (tmp_path / "points.csv").write_text("8.0\n9.0\n")
+    path = write(alone("points"))
+    answer = python(
+        "import orchestrator\nfrom orchestrator.models.build import build\nbuild(['points.py'])\n"
+        f"print([float(orchestrator.run({str(path)!r}, output=f'{{n}}.h5')['one.y'][-1]) for n in range(2)])"
+    )
+    assert answer.out == "[17.0, 17.0]\n", answer.err
+
+
+def test_two_files_of_one_model_name_are_refused_together_and_said_one_after_the_other(orch, write, tmp_path):
+    for folder, number in (("one", 1), ("two", 2)):
+        (tmp_path / folder).mkdir()
+        source = TRACED.replace("np.loadtxt(self.data)[0]", str(number)).replace('    data = File("points.csv")\n', "")
+        if folder == "two":  # plain Python: no native FMU takes the place of that of the other
+            source = POINTS.replace('    data = File("points.csv")\n', "").partition("    def __init__")[0]
+            source += "    def do_step(self, t, h):\n        self.y = 2.0\n"
+        (tmp_path / folder / "doubled.py").write_text(source)
+    both = orch("build", "one/doubled.py", "two/doubled.py")
+    assert both.code == 2
+    assert "would both be the model 'doubled'; rename one of the files" in both.err
+    assert orch("build", "one/doubled.py").code == 0
+    again = orch("build", "two/doubled.py")
+    assert again.code == 0
+    first, second = (tmp_path / folder / "doubled.py" for folder in ("one", "two"))
+    note = f"note: doubled was built from {first}; experiments that name doubled run {second} from now on"
+    assert note in again.err
+    answer = orch("run", write(alone("doubled")), "--json")
+    assert orchestrator.open_run(tmp_path / answer.json["file"])["one.y"][-1] == 2.0
+
+
+# --- The folder that a model lies in ---------------------------------------------------------------------------------
+
+CASADI = """
+import casadi as ca
+from beside import GAIN
+from uuv import ETA, ETA_D, NU, TAU, Input, Model, Output, Parameter
+
+
+class MyController(Model):
+    eta, nu, eta_d, tau = Input(ETA), Input(NU), Input(ETA_D), Output(TAU)
+    K_p = Parameter(140.0, "N/m", "position gain")
+
+    def step(self, t, h):
+        return {"tau": ca.vertcat(GAIN * self.K_p * (self.eta_d - self.eta)[:3], ca.SX.zeros(3))}
+"""
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory):
+    """A clone of the project with its environment .venv inside, as the README has it made."""
+    root = tmp_path_factory.mktemp("clone")
+    here = Path(orchestrator.__file__).parent.parent
+    for name in ("orchestrator", "fmus"):
+        shutil.copytree(here / name, root / name, ignore=shutil.ignore_patterns("build", "__pycache__"))
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", root / ".venv"], check=True)
+    packages = next((root / ".venv").glob("lib/python*/site-packages"))
+    for path in Path(casadi.__file__).parent.parent.iterdir():
+        if path.name not in ("__pycache__", "orchestrator") and "editable" not in path.name:
+            os.symlink(path, packages / path.name)
+    os.symlink(root / "orchestrator", packages / "orchestrator")
+    return root
+
+
+@pytest.mark.parametrize("packaging", ["--native", "--python"])
+def test_a_controller_builds_in_the_root_of_a_clone_with_its_environment_inside(clone, packaging):
+    def build():
+        command = [clone / ".venv/bin/python", "-m", "orchestrator.cli", "build", "my_controller.py", packaging]
+        environment = {**os.environ, "ORCH_BUILD": str(clone / "build")}
+        return subprocess.run(command, cwd=clone, env=environment, capture_output=True, text=True, check=False)
+
+    (clone / "beside.py").write_text("GAIN = 2.0\n")
+    (clone / "my_controller.py").write_text(CASADI.replace("self.eta_d", "self.eta_dd"))
+    wrong = build()
+    assert wrong.returncode == 2
+    words = "line 12: AttributeError: 'MyController' object has no attribute 'eta_dd'"
+    assert words in wrong.stderr
+    (clone / "my_controller.py").write_text(CASADI)
+    right = build()
+    assert right.returncode == 0, right.stderr

@@ -8,6 +8,7 @@ import pathlib
 import zipfile
 from collections.abc import Mapping
 
+DATA = "resources/files"  # folder of data files in an FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that zip knows
 
 

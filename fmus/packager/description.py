@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -25,10 +26,11 @@ def model_description(
     equations: Equations | None,
     capabilities: dict[str, bool],
     sources: Sequence[str] = (),
+    data: Mapping[str, bytes] = {},
 ) -> bytes:
     """The XML file.  `equations`: None for a plain Python model, whose outputs may depend on all inputs.
 
-    sources: the C files to compile.
+    sources: the C files to compile.  data: {name: content} of its data files, whose digests it states.
     """
     scalars = model.layout().scalars
     index = {scalar.name: i for i, scalar in enumerate(scalars, start=1)}
@@ -54,6 +56,10 @@ def model_description(
     for category in LOG_CATEGORIES:
         ET.SubElement(categories, "Category", name=category)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize="0.001")
+    if data:
+        own = ET.SubElement(ET.SubElement(root, "VendorAnnotations"), "Tool", name="orch")
+        for file, content in sorted(data.items()):
+            ET.SubElement(own, "File", name=file, sha256=hashlib.sha256(content).hexdigest())
     variables = ET.SubElement(root, "ModelVariables")
     for scalar in scalars:
         variables.append(_variable(scalar))

@@ -7,13 +7,13 @@ import json
 import pathlib
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from uuv.modelling.equations import Equations, Model
 
-from .archive import digest_of, write_archive
+from .archive import DATA, digest_of, write_archive
 from .description import TYPES, model_description
 
 WRAPPER = pathlib.Path(__file__).parent / "fmi2.c"
@@ -75,20 +75,22 @@ def build(
     model: type[Model],
     equations: Equations,
     compilers: Sequence[Compiler],
+    data: Mapping[str, bytes],
     target: pathlib.Path,
     pool: concurrent.futures.Executor,
 ) -> concurrent.futures.Future[None]:
     """Write the FMU, with a library of each compiler, in `pool`; same input and compiler, same bytes.
 
-    The result raises CompilerError.
+    data: {name: content} of the data files that its equations were made of.  The result raises CompilerError.
     """
     sources = {"fmi2.c": WRAPPER.read_bytes(), "equations.h": _equations(equations)}
-    guid = digest_of({**sources, "class": repr(equations.layout.scalars).encode()})
+    guid = digest_of({**sources, "class": repr(equations.layout.scalars).encode(), **data})
     sources["model.h"] = _layout(equations, guid)
-    description = model_description(model, name, guid, "orch with CasADi", equations, CAPABILITIES, ["fmi2.c"])
+    description = model_description(model, name, guid, "orch with CasADi", equations, CAPABILITIES, ["fmi2.c"], data)
 
     def finish() -> None:
         files = {"modelDescription.xml": description, **{f"sources/{path}": text for path, text in sources.items()}}
+        files |= {f"{DATA}/{path}": content for path, content in data.items()}
         for compiler in compilers:
             files[f"binaries/{compiler.folder}/{name}{compiler.suffix}"] = compiler.library(sources)
         write_archive(target, files)

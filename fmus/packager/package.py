@@ -8,10 +8,10 @@ import hashlib
 import importlib.util
 import pathlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
-from uuv.modelling.declare import Declared
+from uuv.modelling.declare import Declared, data_files
 from uuv.modelling.equations import Model, trace
 
 from . import native, python_fmu
@@ -22,10 +22,11 @@ UUV = pathlib.Path(__file__).parent.parent / "uuv"
 def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Callable[[], dict[str, Any]]:
     """Build one FMU.  The function returned waits for the compilers and returns the answer."""
     source = pathlib.Path(request["source"])
-    files = {source.name: source, **_imported(source)}
-    files |= {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
+    own = {source.name: source, **_imported(source)}
+    files = own | {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
     modules = {name: path.read_bytes() for name, path in sorted(files.items())}
-    model = _model(source)
+    model = _model(source, own.values())
+    data = {name: path.read_bytes() for name, path in data_files(model).items()}
     equations = trace(model) if issubclass(model, Model) else None
     target = (equations and request["native"]) or request["python"]
     if target is None:
@@ -33,10 +34,11 @@ def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Calla
     wait = None
     if target == request["native"]:
         compilers = [native.Compiler(tuple(c["command"]), c["folder"]) for c in request["compilers"]]
-        wait = native.build(source.stem, model, equations, compilers, pathlib.Path(target), pool).result
+        wait = native.build(source.stem, model, equations, compilers, data, pathlib.Path(target), pool).result
     else:
-        python_fmu.build(source.stem, model, equations, modules, pathlib.Path(target))
+        python_fmu.build(source.stem, model, equations, modules, data, pathlib.Path(target))
     digests = {str(path): hashlib.sha256(modules[name]).hexdigest() for name, path in files.items()}
+    digests |= {str(path): hashlib.sha256(data[name]).hexdigest() for name, path in data_files(model).items()}
 
     def answer() -> dict[str, Any]:
         if wait is not None:
@@ -73,7 +75,8 @@ def _import_names(file: pathlib.Path) -> set[str]:
     return names
 
 
-def _model(source: pathlib.Path) -> type[Declared]:
+def _model(source: pathlib.Path, own: Collection[pathlib.Path]) -> type[Declared]:
+    """The class that a file defines.  own: the files that go into the FMU."""
     sys.path.insert(0, str(source.parent))
     before = set(sys.modules)
     try:
@@ -86,7 +89,7 @@ def _model(source: pathlib.Path) -> type[Declared]:
         sys.path.remove(str(source.parent))
         for name in set(sys.modules) - before:  # the next model may import another module of that name
             file = getattr(sys.modules[name], "__file__", None)
-            if file and pathlib.Path(file).is_relative_to(source.parent):
+            if file and pathlib.Path(file) in own:  # not what is installed in the same folder: CasADi loads only once
                 del sys.modules[name]
     models = [
         value

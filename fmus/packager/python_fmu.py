@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from uuv.modelling.declare import Declared
 from uuv.modelling.equations import Equations
 
-from .archive import digest_of, write_archive
+from .archive import DATA, digest_of, write_archive
 from .description import model_description
 
 HERE = pathlib.Path(__file__).parent
@@ -37,23 +37,30 @@ class {identifier}(Fmi2Slave):
 
 
 def build(
-    name: str, model: type[Declared], equations: Equations | None, modules: Mapping[str, bytes], target: pathlib.Path
+    name: str,
+    model: type[Declared],
+    equations: Equations | None,
+    modules: Mapping[str, bytes],
+    data: Mapping[str, bytes],
+    target: pathlib.Path,
 ) -> None:
-    """Write the FMU.  modules: {path inside the bundle: source}, the model's own as `name`.py; same input, same bytes.
+    """Write the FMU; same input, same bytes.
 
+    modules: {path inside the bundle: source}, the model's own as `name`.py; data: {name: content} of its data files.
     Raises RuntimeError if pythonfmu is installed without its libraries.
     """
     binaries = _binaries(name)
     bundle = {**modules, "__init__.py": (HERE / "bundle.py").read_bytes()}
-    digest = digest_of(bundle | binaries)
+    digest = digest_of(bundle | binaries | {f"{DATA}/{path}": content for path, content in data.items()})
     package = f"{name}_{digest[:12]}"
     entry = ENTRY.format(package=package, identifier=name, module=name, model=model.__name__)
     tool = f"orch with pythonfmu {importlib.metadata.version('pythonfmu')}"
     files = {
-        "modelDescription.xml": model_description(model, name, digest, tool, equations, CAPABILITIES),
+        "modelDescription.xml": model_description(model, name, digest, tool, equations, CAPABILITIES, data=data),
         "resources/slavemodule.txt": f"{package}_entry".encode(),
         f"resources/{package}_entry.py": entry.encode(),
         **{f"resources/{package}/{path}": source for path, source in bundle.items()},
+        **{f"{DATA}/{path}": content for path, content in data.items()},
         **binaries,
     }
     write_archive(target, files)

@@ -4,7 +4,7 @@ from uuv import ETA, NU, TAU, Input, Model, Output, Parameter, State    # equati
 from uuv import PythonModel                                             # plain Python and numpy
 """
 
-from .modelling.declare import Calculated, Group, Input, Output, Parameter, Signal, State
+from .modelling.declare import Calculated, File, Group, Input, Output, Parameter, Signal, State
 from .modelling.equations import Model
 from .modelling.python_model import PythonModel
 from .signals import ETA, ETA_D, ETA_D_DDOT, ETA_D_DOT, NU, SPECIFIC_FORCE, TAU, V_C, U
@@ -19,6 +19,7 @@ __all__ = [
     "TAU",
     "V_C",
     "Calculated",
+    "File",
     "Group",
     "Input",
     "Model",

@@ -36,8 +36,8 @@ FMI2_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 FMI3_TYPES = (*(name for name in WHOLE if name != "Integer"), *FLOATS[1:], "Boolean", "String", "Binary", "Clock")
 
 
-def check(path: Path, text: str) -> None:
-    """Raises FmuError, naming the faults, if a description of FMI 2.0 or 3.0 does not make sense.
+def check(path: Path, text: str) -> Any:
+    """The root of a description.  Raises FmuError, naming the faults, if one of FMI 2.0 or 3.0 does not make sense.
 
     text: checked XML.  Other versions, and other roots, are left to the reader.
     """
@@ -46,12 +46,13 @@ def check(path: Path, text: str) -> None:
     root = etree.fromstring(text.encode())
     version = (root.get("fmiVersion") or "")[:2]
     if root.tag != "fmiModelDescription" or version not in ("2.", "3."):
-        return
+        return root
     faults = [*_head(root, version), *_variables(root, version), *_units(root)]
     faults += _structure2(root) if version == "2." else _structure3(root)
     if faults:
         shown = "; ".join(faults[:SHOWN]) + (f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else "")
         raise FmuError(f"{path}: modelDescription.xml cannot be read: {shown}")
+    return root
 
 
 def _head(root: Any, version: str) -> Iterator[str]:

@@ -30,6 +30,7 @@ CAPABILITIES = (
     "needsExecutionTool",
     "hasEventMode",
 )
+DATA_FILES = "VendorAnnotations/Tool[@name='orch']/File"
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 
 
@@ -56,6 +57,7 @@ class Fmu:
     # {output: inputs that it depends on in initialization; None: all}
     internal_step: float | None = None  # s; of FMI 3.0: fixedInternalStepSize
     tolerance: float | None = None  # of its DefaultExperiment
+    data_files: Mapping[str, str] = field(default_factory=dict)  # {name: SHA-256} of those that its model declares
 
     @property
     def version(self) -> int:
@@ -121,7 +123,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         text = archive.xml(DESCRIPTION)
         modules = dict(_python_modules(archive))
         names, sha256 = archive.names, archive.sha256
-    descriptions.check(path, text)
+    root = descriptions.check(path, text)
     description = _description(path, text)
     version = str(description.fmiVersion)
     if version[:2] not in ("2.", "3."):
@@ -155,6 +157,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         initial_dependencies=_initial_dependencies(description),
         internal_step=float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
         tolerance=_tolerance(description),
+        data_files={file.get("name"): file.get("sha256") for file in root.iterfind(DATA_FILES)},
     )
 
 

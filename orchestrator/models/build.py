@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OrchError, did_you_mean
+from . import catalogue, stamps
 from . import compiler as compilers
-from . import stamps
 from .catalogue import PACKAGINGS, build_folder, known, models_folder, shipped, target
 from .compiler import Compiler
 from .stamps import Stamp
@@ -45,7 +45,7 @@ def build(
     "python", or "auto", which is native where there is a C compiler and the model is given as equations.
     Returns {name: FMU}.  Raises BuildError, naming every model that failed and why; `.built` has the others.
     """
-    sources = dict(map(_source, names))
+    sources = _sources(names)
     compiler = None if packaging == "python" else compilers.find()
     if packaging == "native" and compiler is None:
         raise BuildError(dict.fromkeys(sources, f"{compilers.none()}; for native FMUs {compilers.HOW}"))
@@ -60,8 +60,11 @@ def build(
         if packaging == "auto" and compiler is None:
             _expect_python_fmus(stale)
             report(f"{compilers.none()}, so the models become Python FMUs; for faster ones {compilers.HOW}")
-        for name in stale:
+        for name, source in stale.items():
             report(f"building {name}")
+            was = catalogue.source_of(name)
+            if was is not None and was != source:
+                report(f"note: {name} was built from {was}; experiments that name {name} run {source} from now on")
         try:
             built |= _package(stale, packaging, compiler, report)
         except BuildError as error:
@@ -72,7 +75,7 @@ def build(
 
 def cross_build(names: Iterable[str], targets: Sequence[str], report: Callable[[str], None]) -> dict[str, Path]:
     """Build FMUs with libraries for other platforms.  Returns {name: FMU}.  Raises OrchError."""
-    named = dict(map(_source, names))
+    named = _sources(names)
     sources = {name: source for name, source in named.items() if source is not None}
     if gone := named.keys() - sources.keys():
         raise OrchError(f"the source of {', '.join(sorted(gone))} no longer exists: give the model's .py file")
@@ -86,6 +89,16 @@ def cross_build(names: Iterable[str], targets: Sequence[str], report: Callable[[
     answers = _ask(sources, requests)
     _raise_problems(sources, answers)
     return {name: Path(answer["target"]) for name, answer in answers.items()}
+
+
+def _sources(names: Iterable[str]) -> dict[str, Path | None]:
+    """{name: source} of models.  Raises BuildError where two files would become one model."""
+    sources: dict[str, Path | None] = {}
+    for given in names:
+        name, source = _source(given)
+        if (other := sources.setdefault(name, source)) != source:
+            raise BuildError({given: f"{other} and {source} would both be the model {name!r}; rename one of the files"})
+    return sources
 
 
 def _source(name: str) -> tuple[str, Path | None]:
@@ -162,6 +175,7 @@ def _package(
                 despite=compiler.identity if compiler and name in failed else "",
             )
             stamps.write(fmu, stamp, compiler if fmu == target(name, "native") else None)
+            catalogue.forget_others(name, sources[name])
     _raise_problems(sources, answers)
     return {name: Path(answer["target"]) for name, answer in answers.items()}
 

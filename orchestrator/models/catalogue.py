@@ -57,6 +57,20 @@ def known() -> dict[str, Path | None]:
     return sources
 
 
+def source_of(name: str) -> Path | None:
+    """The file that a model which a user has built was built from; None where neither exists."""
+    sources = (_source_of(target(name, packaging)) for packaging in PACKAGINGS)
+    return next((source for source in sources if source is not None), None)
+
+
+def forget_others(name: str, source: Path) -> None:
+    """Remove FMUs of this name that were built from another file than `source`: a run must not take one of them."""
+    for path in (target(name, packaging) for packaging in PACKAGINGS):
+        if path.is_file() and _source_of(path) != source:
+            path.unlink()
+            stamp_path(path).unlink(missing_ok=True)
+
+
 def target(name: str, packaging: str) -> Path:
     """Where the FMU of a model lies.  packaging: one of PACKAGINGS."""
     return build_folder() / packaging / f"{name}.fmu"

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import copy
 import math
+import pathlib
+import sys
 from abc import ABC
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +22,7 @@ from typing import Any
 
 GROUPS = ("parameter", "calculated", "input", "state", "output")
 FIRST = 2  # places 0 and 1 hold t and h
+PACKED = "_packed_files"  # attribute of an instance in an FMU: the folder of its data files
 ANGLES = ("phi", "theta", "psi")  # axes that are angles, where their unit is rad
 
 Limits = tuple[float, float]  # least and largest
@@ -152,6 +155,21 @@ class Calculated(Declaration):
         super().__init__(Signal((), unit, meaning), 0.0, shape)
 
 
+class File:
+    """A data file of the model: `data = File("points.csv")` makes self.data its path, beside the model's file.
+
+    It is packed into the FMU, whose digest then covers it; in the FMU self.data is the packed file.
+    """
+
+    def __init__(self, path: str):
+        beside = sys._getframe(1).f_globals.get("__file__", "")
+        self.path = pathlib.Path(beside).parent / path
+
+    def __get__(self, model: Any, owner: type) -> pathlib.Path:
+        folder = vars(model).get(PACKED) if model is not None else None
+        return self.path if folder is None else folder / self.path.name
+
+
 class Group:
     """The declarations of another class under a common name: `model = Group(Body)` makes `model.m`, `self.model.m`."""
 
@@ -215,6 +233,27 @@ class Declared(ABC):  # noqa: B024 - the two styles, Model and PythonModel, have
         if "_layout" not in cls.__dict__:
             cls._layout = Layout(cls)  # type: ignore[attr-defined]
         return cls._layout  # type: ignore[attr-defined,no-any-return]
+
+
+def data_files(model: type) -> dict[str, pathlib.Path]:
+    """{name in the FMU: file}.  Raises ValueError for a file that does not exist, or a second one of a name."""
+    files: dict[str, pathlib.Path] = {}
+    for attribute, value in ((a, v) for cls in reversed(model.__mro__) for a, v in vars(cls).items()):
+        if isinstance(value, File):
+            if not value.path.is_file():
+                raise ValueError(f"{attribute}: no data file {str(value.path)!r}")
+            if files.setdefault(value.path.name, value.path) != value.path:
+                raise ValueError(f"{attribute}: there are two data files named {value.path.name!r}; rename one")
+    return files
+
+
+def made(model_class: type[Any], packed: pathlib.Path | None) -> Any:
+    """An instance of a model.  packed: the folder of its data files, None for where they were declared."""
+    model = model_class.__new__(model_class)
+    if packed is not None:
+        setattr(model, PACKED, packed)
+    model.__init__()
+    return model
 
 
 def _declarations(model: type) -> list[Declaration]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pathlib
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from .declare import Declaration, Declared, Layout, assign
+from .declare import Declaration, Declared, Layout, assign, made
 
 
 class Model(Declared):
@@ -55,13 +56,16 @@ class Equations:
         return _dependencies(self)
 
 
-def trace(model_class: type[Model]) -> Equations:
-    """Evaluate a model's methods once, with symbols.  Raises ValueError where they do not fit the declarations."""
+def trace(model_class: type[Model], packed: pathlib.Path | None = None) -> Equations:
+    """Evaluate a model's methods once, with symbols.  Raises ValueError where they do not fit the declarations.
+
+    packed: the folder of its data files, in an FMU.
+    """
     import casadi as ca
 
     layout = model_class.layout()
     memory = ca.SX.sym("m", layout.size)
-    model = model_class()
+    model = made(model_class, packed)
     for variable in layout.variables:
         if variable.group != "output":
             assign(model, variable.name, _shaped(memory[layout.places[variable.name]], variable.shape))

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import copy
 import math
+import pathlib
 import pickle
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from .assigned import Watch
-from .declare import GROUPS, Declared, Layout, assign
+from .declare import GROUPS, PACKED, Declared, Layout, assign, made
 from .equations import Equations, Model, trace
 from .failure import ModelFailed
 from .python_model import PythonModel
@@ -37,7 +37,7 @@ class LogMessage:
 class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
     """One instance.  `model_class`: the model; the keywords are those pythonfmu's library gives."""
 
-    def __init__(self, model_class: type[Declared], instance_name: str = "", **_: Any):
+    def __init__(self, model_class: type[Declared], instance_name: str = "", resources: str = "", **_: Any):
         self.instance_name = instance_name
         self.layout = model_class.layout()
         self.memory = np.array(self.layout.start())
@@ -46,10 +46,11 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         self._log: list[LogMessage] = []
         self._initializing = True
         self._stale = True
+        packed = pathlib.Path(resources) / "files"
         self._core = (
-            _EquationsCore(model_class, self.memory)
+            _EquationsCore(model_class, self.memory, packed)
             if issubclass(model_class, Model)
-            else _PythonCore(model_class, self.memory)
+            else _PythonCore(model_class, self.memory, packed)
         )
 
     def setup_experiment(self, start_time: float, *_: Any) -> None:
@@ -149,16 +150,14 @@ class Fmi2Slave:  # pythonfmu's library looks for a base class of this name
         return pickle.loads(state)
 
 
-@cache
-def _traced(model_class: type[Model]) -> Equations:
-    return trace(model_class)
+_traced: dict[type[Model], Equations] = {}
 
 
 class _EquationsCore:
     """Steps a model given as equations, through CasADi's virtual machine."""
 
-    def __init__(self, model_class: type[Model], memory: Any):
-        equations = _traced(model_class)
+    def __init__(self, model_class: type[Model], memory: Any, packed: pathlib.Path):
+        equations = _traced.get(model_class) or _traced.setdefault(model_class, trace(model_class, packed))
         groups = equations.layout.groups
         self._memory = memory
         self._head = memoryview(memory)  # writes single numbers faster than an array
@@ -192,10 +191,10 @@ class _EquationsCore:
 class _PythonCore:
     """Steps a model given as `do_step`."""
 
-    def __init__(self, model_class: type[PythonModel], memory: Any):
+    def __init__(self, model_class: type[PythonModel], memory: Any, packed: pathlib.Path):
         self._memory, self._layout = memory, model_class.layout()
-        self._model = model_class()
-        self._declared = {v.name.partition(".")[0] for v in self._layout.variables}
+        self._model = made(model_class, packed)
+        self._declared = {v.name.partition(".")[0] for v in self._layout.variables} | {PACKED}
         self._outputs = {v.name for v in self._layout.of("output")}
         self.step = self._first_step
         self._start = memory.copy()

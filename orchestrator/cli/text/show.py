@@ -271,6 +271,7 @@ def fmu(fmu: Fmu) -> str:
         ("sha256", fmu.sha256),
         ("FMI", f"{fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})"),
         ("capabilities", ", ".join(able) or "none"),
+        *(("data file", f"{name} {digest[:10]}") for name, digest in fmu.data_files.items()),
     ]
     lines = [f"{fmu.model_name}: {fmu.description}", *table(facts, 2, title=False)]
     for causality in ("input", "output", "structuralParameter", "parameter", "calculatedParameter", "local"):
@@ -313,6 +314,7 @@ def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
         "packaging": fmu.packaging,
         "tool": fmu.tool,
         "capabilities": dict(fmu.capabilities),
+        "data_files": dict(fmu.data_files),
         "variables": [
             {
                 "name": v.name,

@@ -248,6 +248,8 @@ def _describe(file: h5py.File, plan: Plan, attributes: Mapping[str, Any]) -> Non
             "packaging": component.fmu.packaging,
             "parameters": json.dumps(dict(component.parameters)),
         }
+        if component.fmu.data_files:
+            facts["data_files"] = json.dumps(dict(component.fmu.data_files))
         if any(v.causality == "calculatedParameter" for v in component.fmu.variables.values()):
             facts["calculated"] = "{}"
         create_attributes(file[component.name], facts)
