@@ -100,6 +100,7 @@ def test_overshoot_and_total_variation():
     assert taken("overshoot", T, DECAY) == 0.0
     assert taken("overshoot", T, -2 * np.cos(2 * np.pi * T)) == pytest.approx(100.0)
     assert math.isnan(taken("overshoot", T, T))
+    assert math.isnan(taken("overshoot", T, T - 1e-16))  # begins at zero, but for rounding: no 1e18 %
     assert taken("total_variation", T, SINE) == pytest.approx(20.0, rel=TRAPEZOID)  # 4 per period
 
 

@@ -136,7 +136,7 @@ def converged(t, error, band):
 
 
 def overshot(t, error, band):
-    return 100.0 * max(0.0, (-error / error[0]).max()) if error[0] else math.nan
+    return 100.0 * max(0.0, (-error / error[0]).max()) if abs(error[0]) > 1e-12 * abs(error).max() else math.nan
 
 
 SCALAR = {

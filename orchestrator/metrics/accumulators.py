@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..arrays import Reals
 
 SETTLED_SHARE = 0.1  # of the window: a signal that is inside the band for less is passing through
+ROUNDING = 1e-12  # of the largest error: an error that begins smaller begins at zero
 OPPOSITE = 180.0005  # deg: a mean that shows as -180 is written as 180, and so are the extremes around it
 
 
@@ -143,20 +144,25 @@ class ConvergenceTime(Accumulator):
 
 
 class Overshoot(Accumulator):
-    """Largest error of the opposite sign, in percent of the first sample; 0 if the sign never changes"""
+    """Largest error of the opposite sign, in percent of the first sample; 0 if the sign never changes
+
+    No value where the error begins at zero, but for rounding.
+    """
 
     def __init__(self) -> None:
-        self._first, self._largest = math.nan, 0.0
+        self._first, self._least, self._largest = math.nan, math.inf, -math.inf
 
     def update(self, time: Reals, *values: Reals) -> None:
         (error,) = values
         if math.isnan(self._first):
             self._first = float(error[0])
-        if self._first:
-            self._largest = max(self._largest, float((-error / self._first).max()))
+        self._least, self._largest = min(self._least, float(error.min())), max(self._largest, float(error.max()))
 
     def result(self) -> float:
-        return self._largest * 100.0 if self._first else math.nan
+        if abs(self._first) <= ROUNDING * max(-self._least, self._largest):
+            return math.nan
+        opposite = -self._least if self._first > 0 else self._largest
+        return max(0.0, opposite / abs(self._first)) * 100.0
 
 
 class TotalVariation(Accumulator):
