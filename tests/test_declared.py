@@ -13,7 +13,7 @@ import h5py
 import pytest
 
 import orchestrator
-from fmu_files import SOURCES, compile_fmu, needs_compiler
+from fmu_files import SOURCES, compile_fmu, needs_compiler, paper_fmu
 
 pytestmark = needs_compiler
 
@@ -341,3 +341,84 @@ def test_a_controller_builds_in_the_root_of_a_clone_with_its_environment_inside(
     (clone / "my_controller.py").write_text(CASADI)
     right = build()
     assert right.returncode == 0, right.stderr
+
+
+# --- Randomness, and runs without rows -------------------------------------------------------------------------------
+
+NOISE = """
+import numpy as np
+from uuv import Input, Output, Parameter, PythonModel, Signal
+
+NUMBER = Signal((), "m", "a number")
+
+
+class Noise(PythonModel):
+    u, y = Input(NUMBER), Output(NUMBER)
+
+    def initialize(self):
+        GENERATOR
+
+    def do_step(self, t, h):
+        self.y = self.u + DRAW
+"""
+
+
+@pytest.fixture
+def noise(orch, write, tmp_path):
+    """noise(name, generator, draw) runs the model twice in a chain; returns the answer."""
+
+    def noise(name, generator, draw):
+        source = NOISE.replace("GENERATOR", generator).replace("DRAW", draw)
+        (tmp_path / f"{name}.py").write_text(source)
+        assert orch("build", f"{name}.py").code == 0
+        table = alone(name)
+        table["components"] = {"first": table["components"]["one"], "second": {"fmu": name}}
+        table["connections"] = {"second.u": "first.y"}
+        return orch("run", write(table), "--json")
+
+    return noise
+
+
+def test_random_numbers_without_a_seed_are_named_and_not_called_an_algebraic_loop(noise, orch):
+    answer = noise("unseeded", "pass", "np.random.normal()")
+    assert answer.code == 3
+    error = answer.json["error"]
+    assert error.startswith("'second' failed at t = 0 s: its output y is ")
+    assert "it draws random numbers without a seed" in error
+    assert "circle" not in error
+
+
+def test_random_numbers_of_a_generator_of_its_own_are_the_same_again(noise, orch):
+    assert noise("seeded", "self.random = np.random.default_rng(3)", "self.random.normal()").code == 0
+    assert "bit-identical" in orch("rerun", "last", "--verify").out
+
+
+def test_a_run_that_failed_before_its_first_row_is_not_called_bit_identical(noise, orch):
+    answer = noise("hopeless", "raise ValueError('no sea')", "0.0")
+    assert answer.code == 3
+    again = orch("rerun", "last", "--verify")
+    assert again.code == 1
+    assert "bit-identical" not in again.out
+    assert "has no rows to compare; the run failed again in the same way: 'first' failed at t = 0 s" in again.out
+
+
+# --- Units -----------------------------------------------------------------------------------------------------------
+
+
+def test_check_shows_where_one_end_of_a_connection_states_no_unit(orch, write, tmp_path):
+    ends = [("u", "Real", "input", "0", "rad"), ("v", "Real", "input", "0", None), ("w", "Real", "input", "0", "rad")]
+    sink = paper_fmu(tmp_path / "sink.fmu", ends)
+    outs = [("y", "Real", "output", None, None), ("z", "Real", "output", None, "rad")]
+    source = paper_fmu(tmp_path / "source.fmu", outs)
+    table = {
+        "master": {"stop_time": 0.04, "step": 0.01},
+        "components": {"source": {"fmu": str(source)}, "sink": {"fmu": str(sink)}},
+        "connections": {"sink.u": "source.y", "sink.v": "source.z", "sink.w": "source.z"},
+    }
+    answer = orch("check", write(table), env={**os.environ, "COLUMNS": "120"})
+    rows = {line.split()[0]: " ".join(line.split()) for line in answer.out.splitlines() if line.startswith("  sink.")}
+    assert rows == {
+        "sink.u": "sink.u source.y - rad (output: no unit) -",
+        "sink.v": "sink.v source.z - rad (input: no unit) -",
+        "sink.w": "sink.w source.z - rad -",
+    }

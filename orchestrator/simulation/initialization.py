@@ -17,7 +17,7 @@ from ..arrays import Reals, Table, Tables
 from ..fmu.variables import FLOATS
 from ..plan.feedthrough import Cycle, cycles, dependencies
 from ..plan.feedthrough import components as components_of
-from .stepper import Setter, Stepper, failing
+from .stepper import ComponentFailed, Setter, Stepper, failing
 from .system import System
 
 SWEEPS = 100
@@ -79,10 +79,31 @@ def _settle(system: System) -> list[str]:
             return []
     if all(abs(now - was) <= TOLERANCE * max(1.0, abs(now)) for _, was, now in changes if not isinstance(now, bytes)):
         return []
+    for stepper in system.steppers:
+        _check_repeats(stepper)
     buffers = [setter.buffer for stepper in system.steppers for setter in stepper.setters]
     for buffer, values in zip(buffers, first, strict=True):
         buffer[:] = values
     return _Newton(system, loops, [name for name, _, _ in changes]).solve()
+
+
+def _check_repeats(stepper: Stepper) -> None:
+    """Raises ComponentFailed where outputs change although the inputs do not: no values would ever agree with them."""
+
+    def outputs() -> list[Any]:
+        for call in (*stepper.sets, *stepper.gets):
+            stepper.check(call())
+        return [value for getter in stepper.getters for value in getter.buffer.tolist()]
+
+    names = [variable.name for getter in stepper.getters for variable in getter.variables]
+    for name, before, now in zip(names, outputs(), outputs(), strict=True):
+        if now != before and now == now:
+            raise ComponentFailed(
+                stepper,
+                f"its output {name} is {before!r}, then {now!r}, for the same inputs in initialization mode: it draws "
+                "random numbers without a seed, or counts how often it is asked; a model draws from a generator of its "
+                "own, np.random.default_rng(seed), that it makes in initialize",
+            )
 
 
 def exchange(stepper: Stepper, held: Sequence[tuple[Table, int, float]] = ()) -> None:

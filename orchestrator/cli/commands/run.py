@@ -138,7 +138,8 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
     """Repeat the run of a record, from the record alone; models that have changed are built again.
 
     With --verify, exit code 0 where every bit of every signal is the same, else 1: then it says which signal differs
-    first, when, and by how much.  RUN: an id, a prefix of one, a file, or "last".
+    first, when, and by how much, or that the record has no rows to compare.  RUN: an id, a prefix of one, a file, or
+    "last".
     """
     from ...records.store.folder import open_run
     from ...runs import rerun as again
@@ -152,6 +153,10 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
             click.echo(show.result(result, plan))
             return 0 if result.status == "completed" else 3
         difference = again.verify(record, plan)
+        if difference is None and record.status == "failed" and not len(record.time):
+            again_so = f"the run failed again in the same way: {record.attributes['error']}"
+            click.echo(f"{record.run_id}: has no rows to compare; {again_so}")
+            return 1
         if difference is None:
             click.echo(f"{record.run_id}: bit-identical, {len(record.signals)} signals of {len(record.time)} rows")
             return 0

@@ -39,9 +39,8 @@ def connections(plan: Plan) -> Rows:
         groups.setdefault((key[0], key[1]), []).append(connection)
     for (sink, source), connections in groups.items():
         conversion = ", ".join(dict.fromkeys(map(_conversion, connections)))
-        rows.append(
-            (sink, source, _axes(connections), _each([connection.input.unit for connection in connections]), conversion)
-        )
+        units = ", ".join(dict.fromkeys(map(_unit, connections)))
+        rows.append((sink, source, _axes(connections), units, conversion))
     return rows
 
 
@@ -68,5 +67,9 @@ def _conversion(connection: Connection) -> str:
     return scale.strip() or "-"
 
 
-def _each(units: Sequence[str]) -> str:
-    return ", ".join(dict.fromkeys(unit or "-" for unit in units))
+def _unit(connection: Connection) -> str:
+    """The input's unit; where one end states none, nothing says that the other end's is meant."""
+    given, wanted = connection.output.unit, connection.input.unit
+    if bool(given) == bool(wanted):
+        return wanted or "-"
+    return f"{wanted} (output: no unit)" if wanted else f"{given} (input: no unit)"
