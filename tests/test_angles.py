@@ -1,6 +1,7 @@
 """Angles are on the circle."""
 
 import tomllib
+import zipfile
 
 import h5py
 import numpy as np
@@ -121,6 +122,26 @@ def test_differences_of_angles_are_on_the_circle_in_metrics(orch, write, poses):
     assert values["settled"] == 0.0
     assert values["turns"] == pytest.approx(360.0)
     assert values["as_it_stands"] == pytest.approx(210.0)
+
+
+def test_units_that_an_fmu_defines_under_names_of_its_own_are_those_that_they_mean(orch, write, poses, tmp_path):
+    """Angles in "radian" are on the circle, too, and lengths in "metre" compare with those in m."""
+    table = poses({})
+    foreign = tmp_path / "foreign.fmu"
+    with zipfile.ZipFile(table["components"]["wrapped"]["fmu"]) as source, zipfile.ZipFile(foreign, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b'"rad"', b'"radian"').replace(b'"m"', b'"metre"')
+            target.writestr(name, content)
+    for name in ("wrapped", "continuous"):
+        table["components"][name]["fmu"] = str(foreign)
+    table["metrics"] = {
+        "angle": {"of": "rmse", "signal": WRAPPED, "reference": CONTINUOUS, "unit": "deg"},
+        "length": {"of": "rmse", "signal": "wrapped.eta_d.z", "reference": "small.eta.z"},
+    }
+    values = orch("run", write(table), "--json").json["metrics"]
+    assert values == {"angle": pytest.approx(0.0, abs=1e-9), "length": pytest.approx(0.0, abs=1e-9)}
 
 
 @pytest.mark.parametrize(

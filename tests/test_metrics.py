@@ -124,7 +124,7 @@ def test_power_of_a_t200_is_that_of_the_vendors_table(thrust, watts):
 
 def test_the_vendors_table_is_met_by_its_other_lines_and_voltages_as_documented(monkeypatch):
     """docs/experiment.md: what interpolation is wrong by, of what was measured and left out."""
-    voltages, thrusts, watts = thrusters._table("t200")
+    pulses, voltages, thrusts, watts = thrusters._table("t200")
 
     def errors(table, voltage, thrust, power):
         """Of a curve made of another table at these thrusts [N], as far as it goes."""
@@ -138,7 +138,12 @@ def test_the_vendors_table_is_met_by_its_other_lines_and_voltages_as_documented(
         np.concatenate(
             [
                 errors(
-                    (voltages[[j]], np.delete(thrusts[:, [j]], i, 0), np.delete(watts[:, [j]], i, 0)),
+                    (
+                        np.delete(pulses, i),
+                        voltages[[j]],
+                        np.delete(thrusts[:, [j]], i, 0),
+                        np.delete(watts[:, [j]], i, 0),
+                    ),
                     voltages[j],
                     thrusts[[i], j] * thrusters.GRAVITY,
                     watts[[i], j],
@@ -153,7 +158,7 @@ def test_the_vendors_table_is_met_by_its_other_lines_and_voltages_as_documented(
     assert max(abs(error).max() / of for error, of in zip(lines, full, strict=True)) < 0.023
     between = [
         errors(
-            (np.delete(voltages, j), np.delete(thrusts, j, 1), np.delete(watts, j, 1)),
+            (pulses, np.delete(voltages, j), np.delete(thrusts, j, 1), np.delete(watts, j, 1)),
             voltages[j],
             thrusts[:, j] * thrusters.GRAVITY,
             watts[:, j],
@@ -216,7 +221,7 @@ SPECS = {
     "nowhere": ({"of": "rms", "signal": "one.ramp", "after": 7.0}, None),
     "near": ({"of": "distance", "signal": "one.eta", "reference": "two.eta"}, 5.0),
     "nearest": ({"of": "distance", "signal": "one.eta", "reference": "two.eta", "stat": "min"}, 5.0),
-    "heading": ({"of": "heading_difference", "signal": "one.eta", "reference": "two.eta", "stat": "max"}, 270.0),
+    "heading": ({"of": "heading_difference", "signal": "one.eta", "reference": "two.eta", "stat": "max"}, -90.0),
     "variation": ({"of": "total_variation", "signal": "one.ramp"}, 0.2),
 }
 
@@ -246,7 +251,7 @@ def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path)
     text = orch("run", path).out
     lines = {words[0]: words[1:] for words in map(str.split, text.splitlines()) if words}
     assert lines["max"] == ["80", "mm"]
-    assert lines["heading"] == ["270", "deg"]
+    assert lines["heading"] == ["-90", "deg"]
     assert lines["settling_mm"] == ["0.014", "s"]
     assert lines["never"] == ["never", "s"]
     assert lines["nowhere"][:4] == ["no", "sample", "in", "its"]

@@ -155,6 +155,20 @@ def scale(unit: str, wanted: str, defined: Mapping[str, Unit] = MappingProxyType
         return 1.0
 
 
+def symbol(text: str, defined: Mapping[str, Unit]) -> str:
+    """The name in SYMBOLS of a unit that an FMU defines under one that is not known here, as "radian"; else `text`.
+
+    defined: units that the FMU defines.
+    """
+    own = defined.get(text)
+    try:
+        parse(text)
+    except ValueError:
+        names = (name for name, known in SYMBOLS.items() if own and _same(known.unit, own))
+        return next(names, text)
+    return text
+
+
 def readable(text: str) -> tuple[str, float]:
     """The unit in which people read values of the unit `text`, and the factor to it: degrees for angles."""
     shown = ANGLES.get(text, text)
@@ -175,6 +189,10 @@ def alternatives(text: str) -> list[str]:
                 words[2 * i] = words[2 * i].replace(own, symbol, 1)
                 result.append("".join(words))
     return list(dict.fromkeys(result))
+
+
+def _same(a: Unit, b: Unit) -> bool:
+    return a.exponents == b.exponents and math.isclose(a.factor, b.factor, rel_tol=1e-6) and a.offset == b.offset
 
 
 def _alike(a: Unit, b: Unit) -> bool:

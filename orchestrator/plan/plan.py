@@ -14,6 +14,7 @@ from .. import metrics
 from ..experiment.experiment import Experiment
 from ..fmu.builtin import DEAF
 from ..fmu.fmu import Fmu
+from ..fmu.units import symbol
 from ..fmu.variables import ANGLE, NUMBERS, Variable
 from ..names import ETA_AXES, NU_AXES, matches
 from ..warning import Kind, Warned
@@ -100,6 +101,11 @@ def readable(fmus: Mapping[str, Fmu]) -> dict[str, tuple[str, Variable]]:
     }
 
 
+def units_of(fmus: Mapping[str, Fmu]) -> dict[str, str]:
+    """{signal: unit} of what is `readable`, "" where it has none."""
+    return {name: symbol(v.unit, fmus[component].units) for name, (component, v) in readable(fmus).items()}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """What will run.  `recorded`: component and variable of each signal; `watched`: of those that have a place in the
@@ -173,8 +179,8 @@ class Plan:
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """{signal: unit} of what is readable, "1" where it has none."""
-        return {name: variable.unit or "1" for name, (_, variable) in self.readable.items()}
+        """{signal: unit} of what is readable, "1" where it has none; see `fmu.units.symbol`."""
+        return {name: unit or "1" for name, unit in units_of({c.name: c.fmu for c in self.components}).items()}
 
     @cached_property
     def angles(self) -> set[str]:

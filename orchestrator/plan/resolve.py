@@ -25,7 +25,7 @@ from ..models import catalogue
 from ..names import matches
 from .connections import Fmus, connect, dropped_sinks, undriven
 from .motors import with_motors
-from .plan import Component, Plan, readable
+from .plan import Component, Plan, units_of
 
 Reader = Callable[..., Fmu]
 Signal = tuple[str, Variable]  # a component, and a variable of it
@@ -263,7 +263,7 @@ def _envelope_problems(experiment: Experiment, fmus: Fmus, recorded: Sequence[Si
 
 
 def _metric_problems(experiment: Experiment, fmus: Fmus) -> list[Problem]:
-    units = {name: v.unit for name, (_, v) in readable(fmus).items()}
+    units = units_of(fmus)
     problems = []
     for name, spec in experiment.metrics.items():
         key = f"metrics.{name}"
