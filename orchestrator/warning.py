@@ -21,6 +21,7 @@ class Kind(StrEnum):
     UNCHECKED = "unchecked"  # a loop oscillates, and nothing could be run to compare it with
     LIMIT = "limit"  # a value left what an FMU declares: the model is not valid there
     JUMP = "jump"  # a reference jumped by more than half a turn: a note
+    FILES = "files"  # an FMU in Python reads a file that its model does not declare
     OTHER = ""
 
 

@@ -422,3 +422,33 @@ def test_check_shows_where_one_end_of_a_connection_states_no_unit(orch, write, t
         "sink.v": "sink.v source.z - rad (input: no unit) -",
         "sink.w": "sink.w source.z - rad -",
     }
+
+
+@pytest.mark.parametrize("when", ["imported", "made", "stepped"])
+def test_a_file_that_a_python_model_reads_undeclared_is_a_warning(orch, write, tmp_path, when):
+    read = f"open({str(tmp_path / 'points.csv')!r}).read()"
+    source = POINTS.replace('    data = File("points.csv")\n', "").replace(
+        "np.loadtxt(self.data, ndmin=1)", "[1.0, 2.0]"
+    )
+    source = source.replace("len(self.data.read_text())", f"len({read})" if when == "stepped" else "0.0")
+    source = source.replace("self.points =", f"self.points = {read} and" if when == "made" else "self.points =")
+    name = f"reads_{when}"
+    (tmp_path / f"{name}.py").write_text(source + f"\nTEXT = {read}" * (when == "imported"))
+    (tmp_path / "points.csv").write_text("8.0\n9.0\n")
+    assert orch("build", f"{name}.py").code == 0
+    answer = orch("run", write(alone(name)), "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["warnings"] == [
+        f"{name} reads {tmp_path / 'points.csv'}, which no digest covers: the run id is the same after a change of it; "
+        'a model declares it, File("points.csv")'
+    ]
+    assert answer.json["warning_kinds"] == ["files"]
+    assert "bit-identical" in orch("rerun", "last", "--verify").out
+
+
+def test_a_model_that_imports_libraries_and_reads_its_data_file_warns_of_nothing(orch, write, tmp_path):
+    source = POINTS.replace("import numpy", "import email.mime.text, json, pandas\nimport numpy")
+    (tmp_path / "clean.py").write_text(source)
+    (tmp_path / "points.csv").write_text("8.0\n9.0\n")
+    assert orch("build", "clean.py").code == 0
+    assert orch("run", write(alone("clean")), "--json").json["warnings"] == []

@@ -65,6 +65,7 @@ def run(
         if isinstance(instance, LiveInstance):
             outcome.heard[name] = instance.heard
         outcome.warnings += [f"{name}: {message}" for message in instance.take_messages()]
+    outcome.warnings += system.opened_files()
     if outcome.status == "running":
         outcome.status = "completed"
     return outcome

@@ -25,8 +25,10 @@ from ..instances import instantiate
 from ..instances.instance import Instance
 from ..instances.library import Library
 from ..instances.live import LiveInstance
+from ..instances.opened import Opened
 from ..instances.scratch import Scratch
 from ..plan.plan import Component, Connection, Plan
+from ..warning import Kind, Warned
 from ..watch import at_halt, doing
 from .observer import SystemView
 from .stepper import AT_ONCE, PERIOD_END, TICK_END, Conversion, Getter, Publication, Setter, Stepper, failing
@@ -59,6 +61,8 @@ class System:
         self, plan: Plan, interrupted: Callable[[], bool], context: Context, source: FmuSource, folder: Scratch
     ):
         self.plan, self._interrupted, self._context, self._source = plan, interrupted, context, source
+        modules = dict.fromkeys(m for c in plan.components if not c.isolated for m in c.fmu.python_modules)
+        self._opened = Opened(modules, folder.path)
         self.steppers: list[Stepper] = []
         self.tables: Tables = {}
         self.recorded: dict[str, Places] = {}
@@ -99,7 +103,20 @@ class System:
             stack.callback(system.close)
             yield system
 
+    def opened_files(self) -> list[Warned]:
+        """Warnings of files that Python FMUs have opened until now, and that are not among what they bring."""
+        warnings: dict[str, None] = {}
+        for component in self.plan.components:
+            for module in () if component.isolated else component.fmu.python_modules:
+                for path in self._opened.files(module):
+                    warnings[
+                        f"{component.fmu.model_name} reads {path}, which no digest covers: the run id is the same "
+                        f'after a change of it; a model declares it, File("{Path(path).name}")'
+                    ] = None
+        return [Warned(text, Kind.FILES) for text in warnings]
+
     def close(self) -> None:
+        self._opened.stop()
         for stepper in self.steppers:
             stepper.doing("is freed")
             stepper.instance.close()

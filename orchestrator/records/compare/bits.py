@@ -85,6 +85,8 @@ def _ends(then: Run, now: Run) -> list[str]:
         texts = [text for text in warning.read(before) if text.kind == Kind.OTHER]
         before["warnings"] = texts
         after["warnings"] = [text for text in warning.read(after) if text.kind == Kind.OTHER or text in texts]
+    for attributes in (before, after):  # what is read when a module is imported is seen once in a process
+        attributes["warnings"] = [text for text in warning.read(attributes) if text.kind != Kind.FILES]
     has_metrics = before["metrics"] or then.status == "completed"  # earlier ones kept none of a run that failed
     alike = has_metrics and then.metrics_of == now.metrics_of
     comparable = [name for name in ENDS if name != "metrics" or alike]
