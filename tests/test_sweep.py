@@ -657,6 +657,20 @@ def test_a_contender_does_not_win_because_its_bad_draws_fail(orch, tmp_path, wri
     assert (pair["n"], pair["effect"], pair["smaller"]) == (12, -1.0, "a")
 
 
+def test_a_third_contender_that_fails_does_not_take_away_the_draws_in_which_another_is_bad(orch, tmp_path):
+    """b is half as bad as a but in two draws, in which it is fifty times as bad, and in which c fails."""
+    a = [1.0 + 0.1 * k for k in range(12)]
+    b = [0.5 * x if k not in (3, 7) else 50.0 * x for k, x in enumerate(a)]
+    folder = known(tmp_path, duel(a, b, [0.8 * x if k not in (3, 7) else FAILS for k, x in enumerate(a)]))
+    summaries, _ = statistics_of(orch)
+    assert summaries["b"]["common"]["mean"] < summaries["a"]["common"]["mean"]  # on the ten draws of all
+    assert not any(s["best"] for s in summaries.values())
+    shutil.rmtree(folder)
+    known(tmp_path, duel(a, [0.5 * x for x in a], [0.8 * x if k not in (3, 7) else FAILS for k, x in enumerate(a)]))
+    summaries, _ = statistics_of(orch)
+    assert summaries["b"]["best"]
+
+
 def test_a_contender_with_fewer_successes_is_not_the_best_though_its_rest_is_better(orch, tmp_path):
     known(tmp_path, duel([2.0 + 0.1 * k for k in range(20)], [1.0 + 0.1 * k if k % 4 else FAILS for k in range(20)]))
     summaries, statistics = statistics_of(orch)

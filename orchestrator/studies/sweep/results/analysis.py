@@ -128,8 +128,9 @@ class SweepAnalysis:
         """The contender with the least mean magnitude on common draws; "" where that says nothing.
 
         That is so where the metric has no best value or is not one metric for all, where fewer than two contenders
-        compete or have fewer than two draws in common, at a tie of the digits that are shown, and where another
-        contender has a number in more draws.  A contender with marked runs is never the best.
+        compete or have fewer than two draws in common, at a tie of the digits that are shown, where another contender
+        has a number in more draws, and where one is better on the draws that these two have in common: a third must
+        not take away the draws in which it is.  A contender with marked runs is never the best.
         """
         competing = [s for s in self.of(metric) if s.competes]
         candidates = [s for s in competing if not s.marks]
@@ -138,7 +139,14 @@ class SweepAnalysis:
         least, *others = sorted(candidates, key=lambda s: s.common_mean)
         tied = any(digits(s.common_mean) == digits(least.common_mean) for s in others)
         fewer = any(s.n * least.draws > least.n * s.draws for s in self.of(metric))
-        return "" if least.common < 2 or tied or fewer else least.contender
+        beaten = any(self._difference(least, s) > 0.0 for s in others)
+        return "" if least.common < 2 or tied or fewer or beaten else least.contender
+
+    def _difference(self, one: ContenderSummary, other: ContenderSummary) -> float:
+        """The mean of one - other on the draws in which both have a number."""
+        names = one.contender, other.contender
+        pair = next(p for p in self.pairs if p.metric == one.metric and {p.first, p.second} == set(names))
+        return pair.difference if pair.first == one.contender else -pair.difference
 
 
 def analyse(table: SweepTable, globs: Sequence[str] = (), by: str = "") -> SweepAnalysis:

@@ -19,7 +19,8 @@ NO_NUMBER = "-"
 LOOSE = " ‡"  # of intervals of few draws
 FEWER = " §"  # of a contender that is smaller where it has a number, and has one in fewer draws
 BEST = (
-    f"least mean on common draws of those without {DAGGER}, where no other has a number in more draws; "
+    f"least mean on common draws of those without {DAGGER}, where no other has a number in more draws "
+    "or is better on the draws that these two have; "
     "whether by chance, the tests say"
 )
 
