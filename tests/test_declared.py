@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import casadi
@@ -14,6 +15,7 @@ import pytest
 
 import orchestrator
 from fmu_files import SOURCES, compile_fmu, needs_compiler, paper_fmu
+from test_archive import with_description
 
 pytestmark = needs_compiler
 
@@ -452,3 +454,44 @@ def test_a_model_that_imports_libraries_and_reads_its_data_file_warns_of_nothing
     (tmp_path / "points.csv").write_text("8.0\n9.0\n")
     assert orch("build", "clean.py").code == 0
     assert orch("run", write(alone("clean")), "--json").json["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("output", "input", "offset"), [("", "", 273.15), ("true", "true", 0.0), ("type", "true", 0.0), ("true", "", None)]
+)
+def test_a_difference_of_temperatures_takes_no_offset(resolve, problems, tmp_path, output, input, offset):
+    """FMI 2.0, 2.2.3: where relativeQuantity is true, the offset of a unit is ignored."""
+
+    def thermal(name, causality, unit, relative):
+        path = paper_fmu(tmp_path / f"{name}.fmu", [("x", "Real", causality, None, unit)])
+        with zipfile.ZipFile(path) as archive:
+            xml = archive.read("modelDescription.xml").decode()
+        extra = ' relativeQuantity="true"'
+        if relative == "type":
+            kind = f'<SimpleType name="Difference"><Real{extra}/></SimpleType></TypeDefinitions>'
+            xml = xml.replace("</TypeDefinitions>", kind).replace("<Real unit", '<Real declaredType="Difference" unit')
+        elif relative:
+            xml = xml.replace("<Real ", f"<Real{extra} ")
+        return with_description(path, xml)
+
+    table = {
+        "master": {"stop_time": 0.04, "step": 0.01},
+        "components": {
+            "source": {"fmu": str(thermal("source", "output", "degC", output))},
+            "sink": {"fmu": str(thermal("sink", "input", "K", input))},
+        },
+        "connections": {"sink.x": "source.x"},
+    }
+    if offset is None:
+        (_, sentence), *_ = problems(table)
+        assert "one is a difference (relativeQuantity), the other is not" in sentence
+    else:
+        assert [(c.factor, c.offset) for c in resolve(table).connections] == [(1.0, offset)]
+
+
+def test_limits_of_unsigned_numbers_are_read(bucket, resolve, tmp_path):
+    low = (
+        '<UInt8 name="small" valueReference="30" causality="parameter" variability="fixed" start="1" min="2" max="9"/>'
+    )
+    plan = resolve(alone(bucket(3, ("</ModelVariables>", low + "</ModelVariables>")), parameters={"small": 1}))
+    assert plan.warnings == ["one: small = 1 is below 2, the min that its FMU declares"]

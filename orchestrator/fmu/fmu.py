@@ -135,7 +135,7 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         )
     _check_binary(path, names, slave.modelIdentifier, int(version[0]))
     try:
-        scalars = {variable.name: variable for variable in variables.read(description, structure or {})}
+        scalars = {variable.name: variable for variable in variables.read(description, root, structure or {})}
     except ValueError as error:
         raise FmuError(f"{path}: {error}") from None
     return Fmu(

@@ -76,6 +76,7 @@ class Variable:
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration: name and value
     limits: tuple[float, float] = (-math.inf, math.inf)  # min and max
     quantity: str = ""  # as the FMU writes it
+    relative: bool = False  # a difference of two quantities: the offset of a unit is not for it
     shape: tuple[int, ...] = ()  # of the array it is an element of
     element: int = 0  # its place in that array, row by row
     fixed: bool = False  # a constant, or a parameter that cannot be set
@@ -107,13 +108,15 @@ class Variable:
         return float(self.start or 0) if self.kind in FLOATS else int(self.start or 0)
 
 
-def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
+def read(description: Any, root: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
     """The variables of FMPy's model description.
 
+    root: of modelDescription.xml, for what FMPy leaves out: limits of unsigned numbers, relativeQuantity.
     structure: {structural parameter: value}, which give arrays their shapes.  Raises ValueError if a shape is negative
     or has more than a million elements.
     """
     version = int(description.fmiVersion[0])
+    stated = _stated(root, version)
     outputs = {id(u.variable): u for u in description.outputs}
     inputs = [v.name for v in description.modelVariables if v.causality == "input"]
     for v in description.modelVariables:
@@ -138,8 +141,12 @@ def read(description: Any, structure: Mapping[str, int]) -> Iterator[Variable]:
             description=v.description or "",
             depends=depends,
             items=tuple((i.name, int(i.value)) for i in declared.items or ()) if declared is not None else (),
-            limits=(_limit(v, "min", -math.inf), _limit(v, "max", math.inf)),
+            limits=(
+                _limit(stated.get(v.name, {}).get("min"), -math.inf),
+                _limit(stated.get(v.name, {}).get("max"), math.inf),
+            ),
             quantity=v.quantity or "",
+            relative=stated.get(v.name, {}).get("relativeQuantity") in ("true", "1"),
             fixed=v.variability == "constant",
         )
         yield from _elements(whole, v, structure) if v.dimensions else (whole,)
@@ -158,10 +165,25 @@ def _elements(whole: Variable, v: Any, structure: Mapping[str, int]) -> Iterator
         yield replace(whole, name=name, start=start, shape=shape, element=k)
 
 
-def _limit(variable: Any, which: str, otherwise: float) -> float:
-    """Its min or max, or its type's; `otherwise` if it has none, or one for each element."""
-    own = getattr(variable, which)
+def _stated(root: Any, version: int) -> dict[str, Mapping[str, str]]:
+    """{variable: attributes of its type}: its own, above those of the type that it declares."""
+    elements = {e.get("name"): e for e in root.iterfind("ModelVariables/*")}
+    types = {e.get("name"): e for e in root.iterfind("TypeDefinitions/*")}
+    if version == 2:
+        elements, types = (
+            {name: next((t for t in e if t.tag in TYPES[2]), e) for name, e in named.items()}
+            for named in (elements, types)
+        )
+    return {name: {**_attributes(types.get(e.get("declaredType"))), **e.attrib} for name, e in elements.items()}
+
+
+def _attributes(element: Any) -> Mapping[str, str]:
+    return {} if element is None else dict(element.attrib)
+
+
+def _limit(text: str | None, otherwise: float) -> float:
+    """A min or max; `otherwise` where there is none, or one for each element."""
     try:
-        return float(own if own is not None or variable.declaredType is None else getattr(variable.declaredType, which))
-    except (TypeError, ValueError):
+        return otherwise if text is None else float(text)
+    except ValueError:
         return otherwise

@@ -30,6 +30,10 @@ def between(
     if connection.unit_check and not (scaled and output.unit in ("", "1")):
         try:
             factor, offset = conversion(output.unit, there, input.unit, here)
+            if offset and output.relative != input.relative:
+                raise ValueError("one is a difference (relativeQuantity), the other is not")
+            if output.relative:
+                offset = 0.0
         except ValueError as error:
             raise ValueError(
                 f"{input.name} is in {input.unit!r}, {output.name} in {output.unit!r}: {error}; "
