@@ -15,9 +15,9 @@ def split_axis(name: str) -> tuple[str, str]:
     """("eta", "x") of "eta.x", ("K", "1,2") of "K[1,2]", (name, "") of a scalar."""
     if name.endswith("]"):
         head, _, axis = name[:-1].rpartition("[")
-        return head, axis
-    head, _, axis = name.rpartition(".")
-    return (head, axis) if head else (name, "")
+    else:
+        head, _, axis = name.rpartition(".")
+    return (head, axis) if head and axis else (name, "")
 
 
 def matches(name: str, pattern: str) -> bool:

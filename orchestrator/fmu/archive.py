@@ -67,7 +67,7 @@ class Archive:
         """
         if self._zip.getinfo(name).file_size > MAX_XML:
             raise FmuError(f"{self.path}: {name} is over {MAX_XML >> 20} MB; not read")
-        return _checked_xml(f"{self.path}: {name}", self.read(name))
+        return checked_xml(f"{self.path}: {name}", self.read(name))
 
     def extract(self, folder: Path) -> None:
         """Unpack everything.  Raises FmuError if a file is damaged or the disk is full."""
@@ -183,7 +183,8 @@ class _HasRoot(Exception):
     pass
 
 
-def _checked_xml(what: str, content: bytes) -> str:
+def checked_xml(what: str, content: bytes) -> str:
+    """XML without a document type, as text.  what: it is, for the message.  Raises FmuError."""
     from lxml import etree
 
     try:

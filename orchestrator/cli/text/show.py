@@ -141,7 +141,7 @@ def _share(part: float, whole: float) -> str:
 
 def record_as_json(run: Run) -> dict[str, Any]:
     facts = {name: value for name, value in run.attributes.items() if value == value}  # JSON has no nan
-    del facts["model_descriptions"]  # 100 kB
+    facts.pop("model_descriptions", None)  # 100 kB
     marks = list(run.standing.marks)
     ended = {"status": run.status, "marks": marks, "file": str(run.path)}
     return {**facts, **ended, "rows": len(run.time), "signals": run.signals}

@@ -28,7 +28,7 @@ from .value_types import (
 
 ALGORITHMS = ("gauss-seidel", "jacobi")
 ISOLATION = ("auto", "process", "none")
-RESERVED = ("time", "_heard")  # names in a record that are no component's
+RESERVED = ("time", "_heard", "_envelope")  # names in a record that are no component's
 COMPONENT_NAME = r"[A-Za-z_]\w*"
 
 PWM_MAPS = ("linear", "t200_16V")

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -84,8 +83,9 @@ def _scaled(bounds: Reals | None, factor: float) -> Reals | None:
 
 def _is_vehicle(run: Run, component: str) -> bool:
     etas = [f"eta.{axis}" for axis in AXES]
-    group = run.file[component]
-    return all(eta in group and group[eta].attrs.get("causality") == "output" for eta in etas)
+    known = set(run.signals)
+    names = [f"{component}.{eta}" for eta in etas]
+    return all(name in known and run.about(name, "causality") == "output" for name in names)
 
 
 class _Wiring:
@@ -181,10 +181,9 @@ class _Wiring:
 
 def _declared_units(run: Run, component: str) -> dict[str, str]:
     """{variable: unit} by the model description of a component's FMU."""
-    digests = {of["name"]: of["fmu_sha256"] for of in run.resolved["components"]}
-    description = run.attributes.get("model_descriptions", {}).get(digests[component]) or "<builtin/>"
+    description = run.description(component)
     units: dict[str, str] = {}
-    for element in ElementTree.fromstring(description).iter():  # types stand before variables
+    for element in () if description is None else description.iter():  # types stand before variables
         parts = [element, *element]  # FMI 3.0 has the unit here, FMI 2.0 one below
         own = next((unit for part in parts if (unit := part.get("unit"))), "")
         declared = next((units.get(of, "") for part in parts if (of := part.get("declaredType"))), "")

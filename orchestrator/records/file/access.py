@@ -17,6 +17,7 @@ from typing import TypeVar
 import h5py
 
 from ...errors import StoreError
+from .foreign import root_attributes, text_of
 from .format import FORMAT
 
 PATIENCE = 1.0  # s; a file that is being written may not be readable at every instant
@@ -42,7 +43,7 @@ def patiently(action: Callable[[], T], while_: Callable[[], bool] = lambda: True
 def opened(path: Path) -> h5py.File:
     """A record, opened.  Raises OSError where the file has not, or not yet, the attributes of one."""
     file = h5py.File(path, "r", locking=False)
-    if "hostname" not in file.attrs or file.attrs["format"] != FORMAT:
+    if "hostname" not in file.attrs or text_of(file, "format") != FORMAT:
         file.close()
         raise OSError("it does not have the attributes of one")
     return file
@@ -78,8 +79,9 @@ def _is_left(path: Path) -> bool:
     """Whether an unlocked file is a record that its writer has ended, or left by dying; else it may yet be locked."""
     try:
         with opened(path) as file:
-            writer, host = int(file.attrs["pid"]), file.attrs["hostname"]
-            return bool(file.attrs["status"] != "running" or host != socket.gethostname() or not _lives(writer))
+            facts = root_attributes(file, without=("model_descriptions",))
+            running = facts["status"] == "running" and facts["hostname"] == socket.gethostname()
+            return not (running and _lives(facts["pid"]))
     except UNREADABLE:
         return False
 
@@ -112,7 +114,8 @@ def being_written(path: Path) -> StoreError:
     """The error for a record that another process is writing."""
     try:
         with patiently(lambda: opened(path)) as file:
-            writer = f"process {file.attrs['pid']} on {file.attrs['hostname']}"
+            facts = root_attributes(file, without=("model_descriptions",))
+            writer = f"process {facts['pid']} on {facts['hostname']}"
     except UNREADABLE:
         writer = "another process"
     return StoreError(f"{path} is being written by {writer}; wait for it, or write to another file with --output")

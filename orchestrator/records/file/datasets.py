@@ -12,7 +12,7 @@ import numpy as np
 
 from ...fmu.variables import DTYPES, Variable
 from ...plan.plan import Plan
-from .format import ENVELOPE
+from .format import ENVELOPE, VARIABLE, link_of
 from .hdf5 import attach_scales, create_attributes, create_dataset, image_of, list_references, new_in_memory
 
 CHUNK_ROWS = 1024
@@ -34,7 +34,12 @@ class DatasetSpec:
 
     @property
     def path(self) -> str:
-        return f"{self.component}/{self.name}"
+        return f"{self.component}/{self.link}"
+
+    @property
+    def link(self) -> str:
+        """What it is called in the file: for `time` itself, the name that no variable may have."""
+        return link_of(self.name) if self.component else self.name
 
     @property
     def width(self) -> int:
@@ -119,12 +124,13 @@ def image(components: tuple[str, ...], specs: tuple[DatasetSpec, ...], rows: int
 
 
 def _add(group: h5py.Group, spec: DatasetSpec, rows: int, time: h5py.Dataset) -> h5py.Dataset:
-    name, dataset = spec.name, _create(group, spec, rows)
+    link, dataset = spec.link, _create(group, spec, rows)
     attributes = {"units": spec.units, "long_name": spec.long_name, "causality": spec.causality}
-    create_attributes(dataset, attributes | ({"quantity": spec.quantity} if spec.quantity else {}))
-    scales = [group.create_dataset(f"{name}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(spec.shape, 1)]
+    attributes |= {"quantity": spec.quantity} if spec.quantity else {}
+    create_attributes(dataset, attributes | ({VARIABLE: spec.name} if spec.link != spec.name else {}))
+    scales = [group.create_dataset(f"{link}_dim{i}", data=np.arange(1, n + 1)) for i, n in enumerate(spec.shape, 1)]
     for i, scale in enumerate(scales, 1):
-        scale.make_scale(f"{name}_dim{i}")
+        scale.make_scale(f"{link}_dim{i}")
         list_references(scale, [dataset], axis=i)
     attach_scales(dataset, [time, *scales])
     return dataset
@@ -140,7 +146,7 @@ def _create(group: h5py.Group, spec: DatasetSpec, rows: int) -> h5py.Dataset:
     dtype = np.dtype(STORED.get(spec.kind, DTYPES[spec.kind]))
     dataset = create_dataset(
         group,
-        spec.name,
+        spec.link,
         shape=(1, *spec.shape),
         maxshape=(rows, *spec.shape),
         dtype=dtype,

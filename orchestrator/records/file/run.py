@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+from xml.etree import ElementTree
 
 import h5py
 import numpy as np
@@ -15,17 +15,21 @@ import numpy as np
 from ... import warning
 from ...errors import StoreError, did_you_mean
 from ...experiment.timegrid import TimeGrid
+from ...fmu.archive import checked_xml
 from ...fmu.variables import ANGLE
 from ...names import ANGLE_AXES, split_axis
 from ...warning import Warned
+from . import foreign
 from .access import PATIENCE, UNREADABLE, first_line, is_locked, opened, patiently
-from .format import ENVELOPE, HEARD, JSON
+from .format import ENVELOPE, HEARD, VARIABLE, link_of
 from .marks import Standing, standing_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from ...arrays import Reals, Table
+
+DEEPEST = 16  # groups within each other
 
 T = TypeVar("T")
 
@@ -35,16 +39,17 @@ class Run:
 
     run["vehicle1.eta.x"] is a signal (N,), run["vehicle1.eta"] a vector (N, 6), run.time the times (N,) [s].  An array
     of FMI 3.0 is one signal, run["camera.image"] (N, *shape), and run["camera.image[1,2]"] is one of its elements.
-    Raises StoreError where the file is no record.
+    Raises StoreError where the file is no record, or holds what none may hold; see `foreign`.
     """
 
     def __init__(self, path: str | Path, file: h5py.File | None = None):
         """file: of that path, if it is open already."""
         self.path = Path(path)
-        self._signals: list[str] = []
+        self._places: dict[str, tuple[str, ...]] = {}  # of signals: the links that lead to their data sets
+        self._known: dict[str, Any] = {}  # root attributes that do not change any more
         self._lent = file is not None
         self.file = file or self._open()
-        self._length = self._get("the time", lambda file: len(file["time"]))
+        self._length = self._get("the time", _rows)
 
     def _open(self) -> h5py.File:
         if not self.path.is_file():
@@ -80,8 +85,7 @@ class Run:
     def __repr__(self) -> str:
         if not self.file:
             return f"<Run {self.path}: closed>"
-        experiment = self._get("the experiment", lambda file: file.attrs["experiment"])
-        return f"<Run {experiment} {self.run_id}: {self.status}, {self._length} rows>"
+        return f"<Run {self.attributes['experiment']} {self.run_id}: {self.status}, {self._length} rows>"
 
     def _ipython_key_completions_(self) -> list[str]:
         """Names of vectors and signals: what IPython and Jupyter complete run[" with."""
@@ -89,7 +93,7 @@ class Run:
         return [*vectors, *self.signals]
 
     def __getitem__(self, name: str) -> Table:
-        if name in self.signals:
+        if name in self._located:
             return self._read(name)
         array, _, place = name.rstrip("]").rpartition("[")
         if array in self.signals and name.endswith("]"):
@@ -104,96 +108,155 @@ class Run:
         return np.column_stack([self._read(axis) for axis in axes])
 
     def _read(self, name: str) -> Table:
-        component, _, variable = name.partition(".")
-
         def values(file: h5py.File) -> Table:
-            dataset = file[component][variable]
+            dataset = self._dataset(file, name, self._length)
             is_text = h5py.check_string_dtype(dataset.dtype) is not None
-            rows: Table = (dataset.asstr() if is_text else dataset)[: self._length]
+            rows: Table = foreign.texts(dataset, self._length) if is_text else dataset[: self._length]
             return rows
 
         return self._get(name, values)
 
+    def _dataset(self, file: h5py.File, name: str, rows: int = 0) -> h5py.Dataset:
+        """Of a signal, or of the array of which it is an element.  rows: how many are read."""
+        if name not in self._located and name.endswith("]"):
+            name = name.rpartition("[")[0]
+        if name not in self._located:
+            raise KeyError("there is no such signal")
+        *above, link = self._located[name]
+        group: h5py.Group = file
+        for part in above:
+            group = foreign.group(group, part)
+        return foreign.dataset(group, link, rows)
+
     @property
     def time(self) -> Reals:
         """(N,) [s]."""
-        time: Reals = self._get("the time", lambda file: file["time"][: self._length])
+        time: Reals = self._get("the time", lambda file: foreign.dataset(file, "time")[: self._length])
         return time
 
     @property
     def signals(self) -> list[str]:
         """Names of all recorded variables, components in order."""
-        if not self._signals:
-            self._signals = self._get("the list of signals", _signals)
-        return self._signals
+        return list(self._located)
+
+    @property
+    def _located(self) -> dict[str, tuple[str, ...]]:
+        if not self._places:
+            self._places = self._get("the list of signals", _places)
+        return self._places
 
     def units(self, name: str) -> str:
         """The unit of a signal, "1" where it has none."""
-        component, _, variable = name.partition(".")
-        if name not in self.signals and name.endswith("]"):
-            variable = variable.rpartition("[")[0]
-        return self._get(name, lambda file: str(file[component][variable].attrs["units"]))
+        return self.about(name, "units", "1")
+
+    def about(self, name: str, attribute: str, default: str = "") -> str:
+        """What the record says of a signal: `units`, `long_name`, `causality`, `quantity`."""
+        return self._get(name, lambda file: foreign.text_of(self._dataset(file, name), attribute, default))
+
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """How a signal is stored: booleans as int8, texts as objects."""
+        return self._get(name, lambda file: np.dtype(self._dataset(file, name).dtype))
 
     def is_angle(self, name: str) -> bool:
         """Whether differences of a signal are differences on the circle.
 
         Records of format 1 have no quantities: there it is an axis phi, theta or psi in rad or deg.
         """
-        component, _, variable = name.partition(".")
-
-        def judged(file: h5py.File) -> bool:
-            stored = file[component][variable].attrs
-            if file.attrs["format_version"] > 1:
-                return bool(stored.get("quantity") == ANGLE)
-            return split_axis(variable)[1] in ANGLE_AXES and stored["units"] in ("rad", "deg")
-
-        return name in self.signals and self._get(name, judged)
+        if name not in self._located:
+            return False
+        if self.attributes["format_version"] > 1:
+            return self.about(name, "quantity") == ANGLE
+        return split_axis(name.partition(".")[2])[1] in ANGLE_AXES and self.units(name) in ("rad", "deg")
 
     def envelope(self, name: str) -> Reals | None:
         """(N, 2): the least and the largest value of a signal since the row before; None where it is not recorded."""
 
         def values(file: h5py.File) -> Reals | None:
             component, _, variable = name.partition(".")
-            dataset = file.get(f"{ENVELOPE}/{component}/{variable}")
-            return None if dataset is None else dataset[: self._length]
+            try:
+                group = foreign.group(foreign.group(file, ENVELOPE), component)
+                dataset = foreign.dataset(group, link_of(variable), self._length)
+            except KeyError:
+                return None
+            if dataset.shape[1:] != (2,) or dataset.dtype.kind != "f":
+                raise foreign.Foreign(f"{dataset.name} is not of pairs of numbers")
+            return np.asarray(dataset[: self._length])
 
         return self._get(f"the envelope of {name}", values)
 
     def fact(self, component: str, name: str) -> Any:
-        """An attribute of a component, such as fmu_sha256 or packaging."""
-        return self._get(f"{name} of {component}", lambda file: file[component].attrs[name])
+        """An attribute of a component, such as fmu_sha256 or packaging, JSON decoded."""
+
+        def value(file: h5py.File) -> Any:
+            facts = foreign.component_attributes(foreign.group(file, component))
+            if name not in facts:
+                raise foreign.Foreign(f"the attribute {name} of /{component} is missing")
+            return facts[name]
+
+        return self._get(f"{name} of {component}", value)
+
+    def facts_of(self, component: str) -> dict[str, Any]:
+        """All attributes of a component, JSON decoded; {} of one that the record does not hold."""
+
+        def values(file: h5py.File) -> dict[str, Any]:
+            try:
+                group = foreign.group(file, component)
+            except KeyError:
+                return {}
+            return foreign.component_attributes(group)
+
+        return self._get(f"what it says of {component}", values)
+
+    def description(self, component: str) -> ElementTree.Element | None:
+        """The modelDescription.xml of its FMU; None of a builtin.  Raises FmuError where it cannot be read."""
+        digests = {of["name"]: of["fmu_sha256"] for of in self.resolved["components"]}
+        text = self.attributes.get("model_descriptions", {}).get(digests.get(component))
+        if not text:
+            return None
+        what = f"{self.path}: the model description of {component}"
+        return ElementTree.fromstring(checked_xml(what, text.encode()))
 
     def heard(self, component: str) -> tuple[Reals, Reals] | None:
         """What a live component received: the times [s] at which it changed (M,), and the values (M, n); or None."""
 
         def values(file: h5py.File) -> tuple[Reals, Reals] | None:
-            group = file.get(f"{HEARD}/{component}")
-            return None if group is None else (group["time"][:], group["values"][:])
+            try:
+                group = foreign.group(foreign.group(file, HEARD), component)
+            except KeyError:
+                return None
+            time = foreign.dataset(group, "time")
+            values = foreign.dataset(group, "values", len(time))
+            if time.ndim != 1 or values.ndim != 2 or {time.dtype.kind, values.dtype.kind} != {"f"}:
+                raise foreign.Foreign(f"{group.name} is not of times and rows of numbers")
+            return time[:], values[: len(time)]
 
         return self._get(f"what {component} received", values)
 
     @property
     def attributes(self) -> dict[str, Any]:
         """The root attributes, JSON decoded."""
-        stored = self._get("its attributes", lambda file: dict(file.attrs))
-        values = {name: value.item() if isinstance(value, np.generic) else value for name, value in stored.items()}
-        return {name: json.loads(value) if name in JSON else value for name, value in values.items()}
+        if not self._known:
+            values = self._get("its attributes", _attributes)
+            if values["status"] == "running":
+                return values
+            self._known = values
+        return dict(self._known)
 
     @property
     def resolved(self) -> dict[str, Any]:
-        """What ran, every name and value resolved; {} where the record does not say."""
-        resolved: dict[str, Any] = self.attributes.get("experiment_resolved", {})
+        """What ran, every name and value resolved."""
+        resolved: dict[str, Any] = self.attributes["experiment_resolved"]
         return resolved
 
     @property
     def status(self) -> str:
         """completed, failed, interrupted, running, or "interrupted (killed)" where no process writes it any more."""
-        status = self._get("its status", lambda file: str(file.attrs["status"]))
+        status = str(self.attributes["status"])
         return "interrupted (killed)" if status == "running" and not is_locked(self.path) else status
 
     @property
     def run_id(self) -> str:
-        return self._get("its run id", lambda file: str(file.attrs["run_id"]))
+        return str(self.attributes["run_id"])
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -269,15 +332,43 @@ def metrics_in(attributes: Mapping[str, Any]) -> dict[str, float]:
     return {name: missing.get(name, math.nan) if v is None else v for name, v in attributes["metrics"].items()}
 
 
-def _signals(file: h5py.File) -> list[str]:
-    groups = {name: group for name, group in file.items() if isinstance(group, h5py.Group) and not name.startswith("_")}
-    return [f"{component}.{variable}" for component, group in groups.items() for variable in _datasets(group)]
+def _attributes(file: h5py.File) -> dict[str, Any]:
+    values = foreign.root_attributes(file)
+    for name in values["metrics"]:
+        if name not in values["experiment_resolved"]["metrics"]:
+            words = "which the attribute experiment_resolved does not define"
+            raise foreign.Foreign(f"the attribute metrics has {name[:40]!r}, {words}")
+    return values
 
 
-def _datasets(group: h5py.Group, above: str = "") -> Iterator[str]:
-    """Names of all datasets; a variable whose name contains a slash lies in a group of its own."""
-    for name, item in group.items():
+def _rows(file: h5py.File) -> int:
+    time = foreign.dataset(file, "time")
+    if time.ndim != 1 or time.dtype.kind != "f":
+        raise foreign.Foreign("/time is no column of numbers")
+    return len(time)
+
+
+def _places(file: h5py.File) -> dict[str, tuple[str, ...]]:
+    """{signal: the links that lead to its data set}."""
+    groups = {name: item for name, item in foreign.children(file) if name not in (ENVELOPE, HEARD)}
+    places: dict[str, tuple[str, ...]] = {}
+    for component, group in groups.items():
+        if isinstance(group, h5py.Group):
+            for variable, links in _datasets(group, (component,)):
+                if (name := f"{component}.{variable}") in places:
+                    raise foreign.Foreign(f"/{component} has two data sets of the variable {variable!r}")
+                places[name] = links
+    return places
+
+
+def _datasets(group: h5py.Group, above: tuple[str, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Variables of all data sets, and the links to them; in format 1 and early in format 2, a variable whose name
+    contains a slash lies in a group of its own."""
+    if len(above) > DEEPEST:
+        raise foreign.Foreign(f"{'/'.join(above)[:80]}... is nested more than {DEEPEST} groups deep")
+    for link, item in foreign.children(group):
         if isinstance(item, h5py.Group):
-            yield from _datasets(item, f"{above}{name}/")
-        elif not item.is_scale:
-            yield above + name
+            yield from _datasets(item, (*above, link))
+        elif not (isinstance(item, h5py.Dataset) and item.is_scale):
+            dataset = foreign.dataset(group, link, rows=0)
+            yield "/".join((*above[1:], foreign.text_of(dataset, VARIABLE, link))), (*above, link)

@@ -9,6 +9,7 @@ import h5py
 
 from ...errors import StoreError, did_you_mean
 from ..file.access import UNREADABLE
+from ..file.foreign import text_of
 from ..file.format import ID_LENGTH
 from ..file.run import Run
 
@@ -61,7 +62,7 @@ class Store:
 def _digest_of(path: Path) -> str:
     try:
         with h5py.File(path, "r", locking=False) as file:
-            return str(file.attrs.get("digest", ""))
+            return text_of(file, "digest")
     except UNREADABLE:
         return ""
 

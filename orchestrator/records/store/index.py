@@ -153,19 +153,16 @@ def read(path: str) -> dict[str, Any]:
     import h5py
 
     from ..file.access import UNREADABLE, first_line
-    from ..file.format import FORMAT
+    from ..file.foreign import root_attributes
     from ..file.marks import COMPLETED, standing_of
 
     try:
         with h5py.File(path, "r", locking=False) as file:
-            attributes = {name: _plain(value) for name, value in file.attrs.items() if name != "model_descriptions"}
-        if attributes["format"] != FORMAT:
-            raise KeyError("it is no record")
-        resolved = json.loads(attributes["experiment_resolved"])
-        facts = {name: attributes[name] for name in PLAIN if name in attributes}
-        decoded = {name: json.loads(attributes[name]) for name in DECODED if name in attributes}
-        told = {**attributes, **decoded, "experiment_resolved": resolved}
-        facts |= {**decoded, "marks": "; ".join(standing_of(told, COMPLETED).marks)}
+            attributes = root_attributes(file, without=("model_descriptions",))
+        resolved = attributes["experiment_resolved"]
+        facts: dict[str, Any] = {name: _plain(attributes[name]) for name in PLAIN if name in attributes}
+        facts |= {name: attributes[name] for name in DECODED if name in attributes}
+        facts["marks"] = "; ".join(standing_of(attributes, COMPLETED).marks)
         facts["components"] = {component.pop("name"): component for component in resolved["components"]}
         return {**facts, "master": resolved["master"], "record": {"every": resolved["record"]["every"]}}
     except FileNotFoundError:
@@ -190,7 +187,6 @@ def _nameless(path: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
     return None if isinstance(value, float) and value != value else value
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -107,7 +105,7 @@ def _states(run: Run, vehicle: str) -> list[tuple[FlightMode, bool]]:
 
 
 def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None, dict[str, float]]:
-    calculated: dict[str, Any] = json.loads(run.file[component].attrs.get("calculated", "{}"))
+    calculated: dict[str, Any] = run.facts_of(component).get("calculated", {})
     indices = {split_axis(name): value for name, value in calculated.items()}
     entries = {index: value for (vector, index), value in indices.items() if vector == "T" and "," in index}
     if not entries:
@@ -121,11 +119,11 @@ def _frame(run: Run, component: str, pwm_map: str) -> tuple[ThrusterFrame | None
 
 def _parameter(run: Run, component: str, name: str, default: float) -> float:
     """Its value: as the experiment sets it, else the start value of the FMU."""
-    given = json.loads(run.fact(component, "parameters"))
+    given = run.fact(component, "parameters")
     if name in given:
         return float(given[name])
-    description = run.attributes["model_descriptions"].get(run.fact(component, "fmu_sha256"), "<empty/>")
-    for variable in ElementTree.fromstring(description).iter():
+    description = run.description(component)
+    for variable in () if description is None else description.iter():
         if variable.get("name") == name:  # FMI 3.0 has the value here, FMI 2.0 one below
             return next((float(start) for element in variable.iter() if (start := element.get("start"))), default)
     return default

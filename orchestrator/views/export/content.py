@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from ...fmu.variables import ANGLE
@@ -112,16 +111,13 @@ def read(run: Run) -> Content:
 
 def _signal(run: Run, name: str) -> Signal:
     component, _, variable = name.partition(".")
-    dataset = run.file[component][variable]
-    if h5py.check_string_dtype(dataset.dtype) is not None:
+    dtype = run.dtype(name)
+    if dtype.kind == "O":
         kind = "string"
     else:
-        kind = "boolean" if dataset.dtype == np.int8 else "real" if dataset.dtype.kind == "f" else "integer"
-    about = {
-        key: str(dataset.attrs.get(key, default))
-        for key, default in (("units", "1"), ("long_name", variable), ("causality", ""))
-    }
-    return Signal(run, component, variable, kind, about["units"], about["long_name"], about["causality"])
+        kind = "boolean" if dtype == np.int8 else "real" if dtype.kind == "f" else "integer"
+    unit, long_name, causality = run.units(name), run.about(name, "long_name", variable), run.about(name, "causality")
+    return Signal(run, component, variable, kind, unit, long_name, causality)
 
 
 def vectors(signals: Sequence[Signal]) -> dict[str, list[Signal]]:

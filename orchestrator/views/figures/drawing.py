@@ -236,8 +236,7 @@ def _is_depth(axis: str, unit: str) -> bool:
 
 
 def _is_number(run: Run, name: str) -> bool:
-    component, _, variable = name.partition(".")
-    return bool(np.issubdtype(run.file[component][variable].dtype, np.number))
+    return bool(np.issubdtype(run.dtype(name), np.number))
 
 
 def _printed(unit: str) -> str:

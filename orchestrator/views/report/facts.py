@@ -61,7 +61,7 @@ def _components(run: Run) -> list[dict[str, str]]:
     rows = []
     for component in run.attributes["experiment_resolved"].get("components", []):
         name, fmu, digest = (str(component.get(key, "")) for key in ("name", "fmu", "fmu_sha256"))
-        attributes = run.file[name].attrs if name in run.file else {}  # a component of which nothing was recorded
+        attributes = run.facts_of(name)
         packed = " ".join(str(attributes.get(key, "")) for key in ("packaging", "fmi_version"))
         parameters = ", ".join(f"{k} = {json.dumps(v)}" for k, v in component.get("parameters", {}).items())
         rows.append({"name": name, "fmu": fmu, "packed": packed, "digest": digest, "parameters": parameters})

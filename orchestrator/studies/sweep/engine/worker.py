@@ -152,8 +152,8 @@ def _stored(storage: Storage, name: str, plan: Plan, keep: str) -> PointResult |
             record = Run(Path(name), file)
             if record.metrics_of != "steps":
                 return None
-            ends = [name.partition(".")[::2] for name in record.signals]
-            if bool(ends) != (keep != "metrics") or any(len(file[c][name][()]) != rows for c, name in ends):
+            signals = record.signals
+            if bool(signals) != (keep != "metrics") or any(len(record[name]) != rows for name in signals):
                 return None
             if set(metrics := record.metrics) != set(plan.experiment.metrics):
                 return None
