@@ -81,12 +81,14 @@ def compare(then: Run, now: Run, ends: bool = True) -> Difference | None:
 def _ends(then: Run, now: Run) -> list[str]:
     """Sentences on attributes that say how the runs ended, and differ."""
     before, after = then.attributes, now.attributes
-    if "warning_kinds" not in before:  # made before loops were judged as they are now
-        texts = [text for text in warning.read(before) if text.kind == Kind.OTHER]
-        before["warnings"] = texts
-        after["warnings"] = [text for text in warning.read(after) if text.kind == Kind.OTHER or text in texts]
+    old = "warning_kinds" not in before  # made before loops were judged as they are now
     for attributes in (before, after):  # what is read when a module is imported is seen once in a process
-        attributes["warnings"] = [text for text in warning.read(attributes) if text.kind != Kind.FILES]
+        kept = [text for text in warning.read(attributes) if text.kind != Kind.FILES]
+        attributes |= {"warnings": kept, "warning_kinds": warning.kinds_of(kept)}
+    if old:
+        texts = [text for text in before["warnings"] if text.kind == Kind.OTHER]
+        before["warnings"] = texts
+        after["warnings"] = [text for text in after["warnings"] if text.kind == Kind.OTHER or text in texts]
     has_metrics = before["metrics"] or then.status == "completed"  # earlier ones kept none of a run that failed
     alike = has_metrics and then.metrics_of == now.metrics_of
     comparable = [name for name in ENDS if name != "metrics" or alike]
