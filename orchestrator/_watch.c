@@ -36,9 +36,10 @@ typedef struct {
 typedef struct {
     volatile Board *board;
     Py_buffer view;
-    PyObject *halt;
+    PyObject *arguments, *halt; /* the label lies in the arguments */
     int signals, reports; /* descriptors; signals: -1 where none are handled */
     double slow, termination;
+    const char *label;
     pthread_t thread, main;
     pthread_mutex_t mutex;
     pthread_cond_t changed;
@@ -72,9 +73,9 @@ static int describe(const volatile Board *board, char *text, size_t size) {
 }
 
 static void report(const Line *self, const char *call, double seconds) {
-    char line[640];
+    char line[1024];
     const char *hint = self->signals < 0 ? "" : "; Ctrl-C, pressed twice, ends it";
-    int n = snprintf(line, sizeof line, "%s, for %.0f s now%s\n", call, seconds, hint);
+    int n = snprintf(line, sizeof line, "%s%s, for %.0f s now%s\n", self->label, call, seconds, hint);
     if (n > 0 && write(self->reports, line, (size_t)n < sizeof line ? (size_t)n : sizeof line - 1) < 0) return;
 }
 
@@ -145,15 +146,15 @@ static PyObject *start(PyObject *module, PyObject *arguments) {
     Line *self = calloc(1, sizeof *self);
     PyObject *board;
     if (!self) return PyErr_NoMemory();
-    if (!PyArg_ParseTuple(arguments, "OiiddO", &board, &self->signals, &self->reports, &self->slow, &self->termination,
-                          &self->halt) ||
+    if (!PyArg_ParseTuple(arguments, "OiiddyO", &board, &self->signals, &self->reports, &self->slow, &self->termination,
+                          &self->label, &self->halt) ||
         PyObject_GetBuffer(board, &self->view, PyBUF_SIMPLE) < 0) {
         free(self);
         return NULL;
     }
     self->board = self->view.buf;
     self->main = pthread_self();
-    Py_INCREF(self->halt);
+    self->arguments = Py_NewRef(arguments);
     pthread_mutex_init(&self->mutex, NULL);
     pthread_cond_init(&self->changed, NULL);
     sigset_t all, before; /* signals are for the main thread */
@@ -163,7 +164,7 @@ static PyObject *start(PyObject *module, PyObject *arguments) {
     pthread_sigmask(SIG_SETMASK, &before, NULL);
     if (failed) {
         PyBuffer_Release(&self->view);
-        Py_DECREF(self->halt);
+        Py_DECREF(self->arguments);
         free(self);
         errno = failed;
         return PyErr_SetFromErrno(PyExc_OSError);
@@ -185,13 +186,13 @@ static PyObject *stop(PyObject *module, PyObject *capsule) {
     pthread_cond_destroy(&self->changed);
     pthread_mutex_destroy(&self->mutex);
     PyBuffer_Release(&self->view);
-    Py_DECREF(self->halt);
+    Py_DECREF(self->arguments);
     free(self);
     Py_RETURN_NONE;
 }
 
 static PyMethodDef functions[] = {
-    {"start", start, METH_VARARGS, "start(board, signals, reports, slow, termination, halt) -> what `stop` takes"},
+    {"start", start, METH_VARARGS, "start(board, signals, reports, slow, termination, label, halt) -> what `stop` takes"},
     {"stop", stop, METH_O, "End the thread."},
     {NULL, NULL, 0, NULL},
 };

@@ -17,19 +17,21 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
+import math
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from .arrays import Table
+if TYPE_CHECKING:
+    from .arrays import Table
 
 try:  # by name: import-linter takes what is compiled for the package that it lies in
     _watch: Any = importlib.import_module("._watch", __package__)
@@ -43,22 +45,21 @@ STUCK = 0.2  # s in one call after which it is taken not to return
 TERMINATION = 5.0  # s after SIGTERM and SIGHUP; `docker stop` kills after 10 s
 LAST = 3.0  # s that what brings about the end may take
 INTERRUPTED = 130  # exit code
-REPORTS = 2  # file descriptor
+# Where reports go, and what they begin with: of a process whose stderr is kept, those of the process that began it.
+_descriptor, _, LABEL = os.environ.get("ORCH_REPORTS", "2:").partition(":")
+REPORTS = int(_descriptor)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 NAME, WHAT = 64, 512  # bytes
-BOARD = np.dtype(  # what the work is doing, as `_watch.c` reads it
-    [
-        ("place", "i8"),  # tick * components + component + 1 in a step of the loop, else 0
-        ("count", "i8"),  # of changes of `what`
-        ("components", "i8"),
-        ("names", "i8"),  # address of their names, of NAME bytes each
-        ("pressed", "i8"),  # signals that the thread of Python has seen
-        ("step", "f8"),  # s
-        ("alive", "f8"),  # s, monotonic: when it last ran
-        ("what", f"S{WHAT}"),  # UTF-8, like the names; "" where it waits for nothing that can hang
-    ],
-    align=True,
-)
+BOARD = [  # what the work is doing, as `_watch.c` reads it
+    ("place", "i8"),  # tick * components + component + 1 in a step of the loop, else 0
+    ("count", "i8"),  # of changes of `what`
+    ("components", "i8"),
+    ("names", "i8"),  # address of their names, of NAME bytes each
+    ("pressed", "i8"),  # signals that the thread of Python has seen
+    ("step", "f8"),  # s
+    ("alive", "f8"),  # s, monotonic: when it last ran
+    ("what", f"S{WHAT}"),  # UTF-8, like the names; "" where it waits for nothing that can hang
+]
 
 End = Callable[[], str]  # returns what to report, or ""
 
@@ -67,6 +68,8 @@ class Interrupt:
     """A flag that both loops look at in every step.  `urgent`: whether there is no time to end in order."""
 
     def __init__(self) -> None:
+        import numpy as np
+
         self.flag = np.zeros(1, dtype=np.int32)
         self.urgent = False
 
@@ -81,13 +84,13 @@ _here = threading.local()  # `watch`: of the work that this thread does
 
 
 @contextlib.contextmanager
-def interruptible(interrupt: Interrupt | None = None) -> Iterator[Interrupt]:
-    """Watch the body: signals set a flag, and what hangs is reported.
+def interruptible(interrupt: Interrupt | None = None, label: str = LABEL) -> Iterator[Interrupt]:
+    """Watch the body: signals set a flag, and what hangs is reported.  label: what reports begin with.
 
     Python takes signals in its main thread only; in others the body is watched, and nothing but `interrupt` ends it.
     A KeyboardInterrupt raised inside a Python FMU would be a fatal error of that FMU.
     """
-    watch, before = _Watch(interrupt or Interrupt()), getattr(_here, "watch", None)
+    watch, before = _Watch(interrupt or Interrupt(), label), getattr(_here, "watch", None)
     _here.watch = watch
     try:
         with watch.running():
@@ -104,6 +107,8 @@ def doing(what: str) -> None:
 
 def stepping(names: Sequence[str], step: float) -> Table:
     """Where a loop says in which step it is, (1,) int64: tick * components + component + 1, or 0.  step: s."""
+    import numpy as np
+
     watch = getattr(_here, "watch", None)
     return np.zeros(1, dtype=np.int64) if watch is None else watch.stepping(names, step)
 
@@ -136,6 +141,26 @@ def terminable() -> Iterator[None]:
         yield
 
 
+def communicate(
+    process: subprocess.Popen[bytes], text: bytes, what: Callable[[bytes], str], seconds: float = math.inf
+) -> tuple[bytes, bytes]:
+    """As Popen.communicate, and what takes long is reported.  what: says it, given the output so far.
+
+    seconds: that it may take.  Raises subprocess.TimeoutExpired.
+    """
+    began, given = time.monotonic(), {"input": text}
+    for n in itertools.count():
+        last = min(seconds, SLOW * 2**n)
+        try:
+            return process.communicate(timeout=max(0.0, began + last - time.monotonic()), **given)
+        except subprocess.TimeoutExpired as late:
+            if last == seconds:
+                raise
+            report(f"{LABEL}{what(late.output or b'')}, for {last:.0f} s now")
+            given = {}
+    raise AssertionError  # not reached
+
+
 def _raise(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
@@ -159,10 +184,12 @@ def _handling(handler: Callable[[int, FrameType | None], None], numbers: Sequenc
 class _Watch:
     """The thread, and what it looks at."""
 
-    def __init__(self, interrupt: Interrupt):
-        self.interrupt = interrupt
+    def __init__(self, interrupt: Interrupt, label: str):
+        import numpy as np  # not above: `orch --help` needs this module, and is fast
+
+        self.interrupt, self._label = interrupt, label
         self.ends: list[End] = []
-        self._board = np.zeros(1, dtype=BOARD)
+        self._board = np.zeros(1, dtype=np.dtype(BOARD, align=True))
         self._what, self._step = "", 0.0
         self._names: tuple[str, ...] = ()
         self._signals, self._signalled = socket.socketpair()
@@ -178,6 +205,8 @@ class _Watch:
 
     def stepping(self, names: Sequence[str], step: float) -> Table:
         self._names, self._step = tuple(names), step
+        import numpy as np
+
         self._bytes = np.array([name.encode()[:NAME] for name in names], dtype=f"S{NAME}")
         self._board["names"], self._board["components"] = self._bytes.ctypes.data, len(names)
         self._board["step"] = step
@@ -203,10 +232,10 @@ class _Watch:
                 thread.join()
 
     def _second_line(self) -> object:
-        if _watch is None or BOARD.itemsize != _watch.SIZE:
+        if _watch is None or self._board.nbytes != _watch.SIZE:
             return None
         signals = self._signals.fileno() if self._handled else -1
-        return _watch.start(self._board, signals, REPORTS, SLOW, TERMINATION, self.halt)
+        return _watch.start(self._board, signals, REPORTS, SLOW, TERMINATION, self._label.encode(), self.halt)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.interrupt.set()
@@ -233,7 +262,7 @@ class _Watch:
                 state, since, due = seen, now, SLOW
             if now - since >= due and (call := self._call()):
                 hint = "; Ctrl-C, pressed twice, ends it" if self._handled else ""
-                _report(f"{call}, for {now - since:.0f} s now{hint}")
+                report(f"{self._label}{call}, for {now - since:.0f} s now{hint}")
                 due *= 2
             if not urgent and _is_urgent(pressed, now):
                 self.interrupt.urgent, urgent = True, now
@@ -268,15 +297,15 @@ class _Watch:
         """Bring about the ends, and end the process."""
         if not self._halting.acquire(blocking=False):
             return
-        self._board["alive"] = np.inf
+        self._board["alive"] = math.inf
         threading.Timer(LAST, os._exit, [INTERRUPTED]).start()
-        texts = [f"{self._call()}, which did not end; this process does"]
+        texts = [f"{self._label}ended by force: {self._call()}"]
         for end in reversed(self.ends):
             try:
                 texts.append(end())
             except Exception as error:
                 texts.append(f"{type(error).__name__}: {error}")
-        _report("\n".join(filter(None, texts)))
+        report("\n".join(filter(None, texts)))
         os._exit(INTERRUPTED)
 
 
@@ -288,7 +317,8 @@ def _is_urgent(pressed: Sequence[tuple[float, int]], now: float) -> bool:
     return again or any(number != signal.SIGINT and now - when >= TERMINATION for when, number in pressed)
 
 
-def _report(text: str) -> None:
+def report(text: str) -> None:
+    """Write it to stderr, or where reports of this process go."""
     with contextlib.suppress(OSError):
         sys.stderr.flush()
         os.write(REPORTS, f"{text}\n".encode(errors="replace"))

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 import h5py
 import pytest
@@ -35,10 +36,10 @@ def start(shipped, tmp_path):
     (tmp_path / "tmp").mkdir()
     processes = []
 
-    def begin(*arguments, **environment):
+    def begin(*arguments, command=(ORCH,), **environment):
         environment = {**os.environ, "TMPDIR": str(tmp_path / "tmp"), "ORCH_SLOW": str(SLOW), **environment}
         process = subprocess.Popen(
-            [ORCH, *map(str, arguments)],
+            [*command, *map(str, arguments)],
             cwd=tmp_path,
             env=environment,
             text=True,
@@ -123,3 +124,259 @@ def test_a_step_that_never_returns_is_reported_and_ends_with_all_rows(
     assert "hung.h5: interrupted at t = 0.05 s" in text
     assert rows(tmp_path / "hung.h5") == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
     assert not list((tmp_path / "tmp").iterdir())
+
+
+# --- Starts and ends --------------------------------------------------------------------------------------------------
+
+
+def named(trap, name):
+    """The probe does what its name says."""
+    table = single(trap, stop_time=0.05, name=name)
+    return merged(table, {"components.before": {"fmu": "clock", "start": "fmu"}})
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("name", "what", "status"),
+    [
+        ("never_loads", "is loaded", None),
+        ("sleeps", "is set up", "interrupted"),
+        ("never_freed", "is freed", "completed"),
+    ],
+)
+def test_a_start_or_an_end_that_never_returns_is_reported_and_ends(
+    start, write, trap, endless, tmp_path, name, what, status
+):
+    process = start("run", write(named(trap, name)), "-o", "hung.h5")
+    poll(lambda: f"'{name}' {what}, for " in said(process), process)
+    press_twice(process)
+    assert not list((tmp_path / "tmp").iterdir())
+    if status is None:
+        assert not (tmp_path / "hung.h5").exists()
+        return
+    with h5py.File(tmp_path / "hung.h5", "r") as file:
+        assert file.attrs["status"] == status
+        assert len(file["time"]) == (6 if status == "completed" else 0)
+
+
+def test_an_initialization_in_python_that_never_returns_is_reported_and_ends(start, write, endless, tmp_path):
+    process = start("run", write(single("endless", kind=4)), "-o", "hung.h5")
+    poll(lambda: "'one' is " in said(process), process)
+    text = press_twice(process)
+    assert "hung.h5: interrupted at t = 0 s" in text
+    assert rows(tmp_path / "hung.h5") == []
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+@needs_compiler
+def test_an_fmu_on_trial_that_never_returns_is_reported_and_ends(start, write, trap, tmp_path):
+    process = start("check", write(single(trap, name="sleeps")), "--load")
+    poll(lambda: "'sleeps' is initialized, for " in said(process), process)
+    process.send_signal(signal.SIGTERM)
+    ends(process)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+# --- SIGTERM and SIGHUP -----------------------------------------------------------------------------------------------
+
+
+def flowing(**changes):
+    return merged(single("clock", stop_time=1e5, step=1e-3), changes)
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_run_that_the_system_ends_ends_in_order(start, write, endless, tmp_path, name):
+    process = start("run", write(flowing()), "-o", "run.h5")
+    poll(lambda: (tmp_path / "run.h5").exists(), process)
+    time.sleep(0.5)
+    process.send_signal(getattr(signal, name))
+    assert "run.h5: interrupted at t = " in ends(process)
+    times = rows(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r") as file:
+        assert times[-1] == file.attrs["interrupted_at"]
+    assert len(times) > 1
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+@needs_compiler
+def test_a_run_that_the_system_ends_does_not_wait_for_what_never_returns(start, write, probe, tmp_path):
+    process = start("run", write(native(probe)), "-o", "hung.h5")
+    poll(lambda: HUNG in said(process), process)
+    process.send_signal(signal.SIGTERM)
+    ends(process, within=8.0)
+    assert len(rows(tmp_path / "hung.h5")) == 6
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_what_nohup_ignores_stays_ignored(start, write, endless, tmp_path):
+    path = write(flowing())
+    command = f"trap '' HUP; exec {ORCH} run {path} -o run.h5"
+    process = start(command=["sh", "-c", command])
+    poll(lambda: (tmp_path / "run.h5").exists(), process)
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    ends(process)
+
+
+# --- Other commands ---------------------------------------------------------------------------------------------------
+
+
+def descendants(process):
+    """Command lines of what a process has begun that still runs."""
+    text = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
+    lines = [line.split(None, 2) for line in text.splitlines()[1:]]
+    family, grown = {str(process.pid)}, True
+    while grown:
+        more = {pid for pid, parent, _ in lines if parent in family} - family
+        family, grown = family | more, bool(more)
+    return {pid: arguments for pid, _, arguments in lines if pid in family - {str(process.pid)}}
+
+
+def gone(pids):
+    return not any((path := Path(f"/proc/{pid}/cmdline")).exists() and path.read_bytes() for pid in pids)
+
+
+@needs_compiler
+def test_a_study_reports_which_of_its_runs_hangs_and_ends_it(start, write, probe, tmp_path):
+    table = native(probe, metrics={"last": {"of": "final", "signal": "one.y"}})
+    process = start("converge", write(table), "--steps", "0.005,0.02")
+    poll(lambda: "step 0.01 s: 'one' is in its step at t = 0.05 s, for " in said(process), process)
+    children = descendants(process)
+    assert children
+    press_twice(process)
+    assert gone(children)
+    records = list(tmp_path.glob("results/*/*.h5"))
+    assert records
+    assert all(rows(path) for path in records)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def swept(table, **tune):
+    """A sweep of two runs, of which one hangs."""
+    sweep = {"vary": {"components.one.parameters.at": [0.05, 1e9]}}
+    table = merged(table, {"metrics": {"last": {"of": "final", "signal": "one.y"}}, "sweep": sweep | tune})
+    return merged(table, {"master.stop_time": 0.2})
+
+
+@needs_compiler
+@pytest.mark.parametrize("beside", [{}, BESIDE], ids=["native", "native with the lock"])
+def test_a_sweep_reports_which_of_its_runs_hangs_and_ends(start, write, probe, endless, tmp_path, beside):
+    process = start("sweep", write(swept(native(probe, **beside))), "--workers", "2")
+    poll(lambda: "run 0 of the sweep: 'one' is in its step at t = 0.05 s, for " in said(process), process)
+    children = descendants(process)
+    press_twice(process)
+    assert gone(children)
+    (results,) = tmp_path.glob("results/*")
+    assert "completed" in next(results.glob("*.csv")).read_text()
+    assert not list((tmp_path / "tmp").glob("orch-*"))
+
+
+@needs_compiler
+def test_tuning_ends_while_a_trial_hangs(start, write, probe, endless, tmp_path):
+    space = {"at": {"distribution": "uniform", "low": 0.01, "high": 0.02}}
+    tune = {
+        "objective": "last",
+        "trials": 2,
+        "draws": 1,
+        "held_out": 1,
+        "component": "one",
+        "search": {str(probe): space},
+    }
+    vary = {"components.two.parameters.at": {"distribution": "uniform", "low": 0.01, "high": 0.05}}
+    table = native(probe, metrics={"last": {"of": "final", "signal": "one.y"}}, sweep={"vary": vary, "tune": tune})
+    table = merged(table, {"components.two": {"fmu": "endless", "start": "fmu"}})
+    process = start("tune", write(table), "--workers", "1")
+    poll(lambda: "of the sweep: 'two' is in its step at t = " in said(process), process)
+    children = descendants(process)
+    press_twice(process)
+    assert gone(children)
+
+
+MODEL = "import time\nwhile True:\n    time.sleep(1)\n"
+
+
+def test_a_build_that_never_ends_is_reported_and_ends_with_its_processes(start, tmp_path):
+    (tmp_path / "forever.py").write_text(MODEL)
+    process = start("build", "forever.py", ORCH_BUILD=str(tmp_path / "built"))
+    poll(lambda: "building forever, for " in said(process), process)
+    children = descendants(process)
+    assert children
+    process.send_signal(signal.SIGTERM)
+    assert "interrupted" in ends(process)
+    assert gone(children)
+
+
+@pytest.mark.parametrize("option", ["--force", "--verify"])
+def test_an_interrupted_rerun_says_so(start, orch, write, models, tmp_path, option):
+    first = orch("run", write(single("moody", pause=0.4)), "--json").json
+    process = start("rerun", tmp_path / first["file"], option)
+    poll(lambda: list((tmp_path / "tmp").glob("orch-*/0")), process)
+    time.sleep(0.6)
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in ends(process)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_paced_run_ends_at_once(start, write, endless, tmp_path):
+    process = start("run", write(single("clock", stop_time=100.0, step=20.0)), "--realtime", "-o", "run.h5")
+    poll(lambda: (tmp_path / "run.h5").exists(), process)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    assert "run.h5: interrupted at t = " in ends(process, within=2.0)
+
+
+# --- In Python --------------------------------------------------------------------------------------------------------
+
+
+def test_in_python_a_second_ctrl_c_ends_a_model_and_the_process_goes_on(python, write, endless):
+    write(merged(single("endless", stop_time=10.0, at=0.05), {}))
+    answer = python("""
+import glob
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+import orchestrator as orch
+
+def press():
+    while not glob.glob("results/*/*.h5"):
+        time.sleep(0.01)
+    for _ in range(2):
+        time.sleep(0.7)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+threading.Thread(target=press).start()
+try:
+    orch.run("mine.toml")
+except KeyboardInterrupt:
+    run = orch.open_run("last")
+    print(run.status, len(run.time))
+time.sleep(1.0)
+print("on")
+""")
+    assert (answer.code, answer.out, answer.err) == (0, "interrupted 6\non\n", "")
+
+
+def test_in_a_thread_what_hangs_is_reported_and_the_process_can_end(python, write, endless):
+    write(merged(single("endless", stop_time=10.0, at=0.05), {}))
+    answer = python(
+        """
+import threading
+import time
+from pathlib import Path
+import orchestrator as orch
+
+threading.Thread(target=orch.run, args=("mine.toml",), daemon=True).start()
+time.sleep(6.0)
+print("on", flush=True)
+import os
+os._exit(0)
+""",
+        env={**os.environ, "ORCH_SLOW": str(SLOW)},
+    )
+    assert (answer.code, answer.out) == (0, "on\n")
+    assert answer.err.startswith("'one' is in its step at t = 0.05 s, for 1 s now\n")

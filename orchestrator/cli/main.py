@@ -13,7 +13,7 @@ import click
 
 from ..errors import OrchError
 from ..version import __version__
-from .commands.options import INTERRUPTED
+from ..watch import INTERRUPTED, terminable
 
 COMMANDS = {  # name: where it is, module:object of the package `commands`
     "build": "models:build",
@@ -45,7 +45,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal may lack letters of a model's messages
-    code = execute()
+    with terminable():
+        code = execute()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()

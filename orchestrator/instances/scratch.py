@@ -25,7 +25,7 @@ class Scratch:
 
     def __init__(self) -> None:
         if fcntl is not None:
-            _remove_abandoned(Path(tempfile.gettempdir()))
+            _remove_abandoned_once(Path(tempfile.gettempdir()))
         self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
         if fcntl is not None:
             # Under another name at first: nobody sees it without its lock.
@@ -41,9 +41,14 @@ class Scratch:
         return ""
 
 
-@functools.cache  # once a process
-def _remove_abandoned(folder: Path) -> None:
+def remove_abandoned(folder: Path) -> None:
+    """Delete what killed processes have left."""
+    if fcntl is None:
+        return
     for lock in folder.glob(f"{PREFIX}*/{LOCK}"):
         with contextlib.suppress(OSError), lock.open() as file:  # another user's, or gone by now
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(lock.parent, ignore_errors=True)
+
+
+_remove_abandoned_once = functools.cache(remove_abandoned)  # once a process

@@ -11,6 +11,7 @@ from ..plan.motors import steered_by
 from ..plan.plan import Component, Plan
 from ..simulation.initialization import initialize
 from ..simulation.system import System
+from ..watch import interruptible
 from .protocol.links import Endpoint
 from .vehicle.autopilot import Autopilot
 from .vehicle.control import Control
@@ -106,10 +107,12 @@ def frame_of(plan: Plan, component: Component, pwm_map: str) -> tuple[ThrusterFr
     alone = replace(
         plan, components=(component,), connections=(), recorded=tuple((component.name, v) for v in read), watched=()
     )
-    with System.open(alone) as system:
+    with interruptible() as interrupt, System.open(alone, interrupt.is_set) as system:
         initialize(system)  # a matrix that is calculated is known only then
         table = system.tables["real"].copy()
         places = {v.name: system.places[component.name, v.name] for v in read}
+    if interrupt.is_set():
+        raise KeyboardInterrupt
     T = matrix_of({axis: table[places[variable.name]] for axis, variable in entries.items()})
     max_thrust = float(table[places["max_thrust"]]) if thrust else DEFAULT_MAX_THRUST
     try:

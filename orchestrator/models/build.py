@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OrchError, did_you_mean
+from ..watch import communicate
 from . import catalogue, stamps
 from . import compiler as compilers
 from .catalogue import PACKAGINGS, build_folder, known, models_folder, shipped, target
@@ -214,15 +215,26 @@ def _ask(sources: dict[str, Path], requests: Sequence[Mapping[str, Any]]) -> dic
         "PYTHONSAFEPATH": "1",  # a user's file json.py in this folder does not come before Python's own
         "PYTHONDONTWRITEBYTECODE": "1",  # the sources' folder may be shared or not writable
     }
-    process = subprocess.run(
-        [sys.executable, "-m", "packager"],
-        input="".join(json.dumps(request) + "\n" for request in requests),
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    answers = {answer["source"]: answer for answer in map(json.loads, process.stdout.splitlines())}
-    last_line = process.stderr.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-m", "packager"]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env=environment) as process:
+        try:
+            text = "".join(json.dumps(request) + "\n" for request in requests)
+            output, errors = communicate(process, text.encode(), lambda output: _under_way(sources, output))
+        except BaseException:
+            process.kill()
+            raise
+    answers = _answers(output)
+    last_line = errors.decode(errors="replace").strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
     stopped = {"error": f"the build stopped: {last_line[0]}"}
     return {name: answers.get(str(source), stopped) for name, source in sources.items()}
+
+
+def _answers(output: bytes) -> dict[str, dict[str, Any]]:
+    """{source: answer} of the packager's lines, of which the last need not be whole yet."""
+    return {answer["source"]: answer for answer in map(json.loads, output.decode().splitlines()[: output.count(b"\n")])}
+
+
+def _under_way(sources: Mapping[str, Path], output: bytes) -> str:
+    answers = _answers(output)
+    return f"building {', '.join(name for name, source in sources.items() if str(source) not in answers)}"

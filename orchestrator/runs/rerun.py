@@ -84,8 +84,13 @@ def replay_of(record: Run, plan: Plan) -> dict[str, dict[str, Any]]:
 
 
 def verify(record: Run, plan: Plan) -> Difference | None:
-    """Run the plan of a record into a temporary file; returns what differs, None where nothing does."""
+    """Run the plan of a record into a temporary file; returns what differs, None where nothing does.
+
+    Raises KeyboardInterrupt where it was interrupted.
+    """
     with tempfile.TemporaryDirectory(prefix="orch-rerun-") as folder:
         result = runner.execute(plan, Path(folder) / "again.h5", context=replay_of(record, plan))
+        if result.status == "interrupted":
+            raise KeyboardInterrupt
         with Run(result.file) as again:
             return compare(record, again)

@@ -20,14 +20,15 @@ from pathlib import Path
 
 from ..errors import OrchError, Problem
 from ..plan.plan import Component, Plan
+from ..watch import communicate
 
 TIMEOUT = 60.0  # s, for what takes one
-# What the child writes before each phase, and how to say that it ended there.
+# What the child writes before each phase, and how to say that it is or ended there.
 PHASES = {
-    "begin": "before it was loaded",
-    "load": "while it was loaded and instantiated",
-    "initialize": "while it was initialized",
-    "free": "while it was freed",
+    "begin": ("is about to be loaded", "before it was loaded"),
+    "load": ("is loaded", "while it was loaded and instantiated"),
+    "initialize": ("is initialized", "while it was initialized"),
+    "free": ("is freed", "while it was freed"),
 }
 DONE, FAILED = "done", "failed"
 
@@ -74,19 +75,30 @@ def _try(plan: Plan, component: Component, timeout: float, children: list[subpro
         children.append(child)
         ended = ""
         try:
-            child.communicate(pickle.dumps(alone), timeout)
+            communicate(
+                child,
+                pickle.dumps(alone),
+                lambda _: f"{component.name!r} {PHASES.get(_last(outcome)[0], PHASES['begin'])[0]}",
+                timeout,
+            )
         except subprocess.TimeoutExpired:
             ended = f"was not ready within {timeout:g} s and was killed"
         finally:
             child.kill()
             child.wait()
-        phase, _, words = outcome.read_text(encoding="utf-8").rstrip("\n").rpartition("\n")[2].partition(" ")
+        phase, words = _last(outcome)
     if phase == DONE and child.returncode == 0:
         return ""
     if phase == FAILED:
         return words
     ended = ended or f"ended the process ({_ending(child.returncode)})"
-    return f"{component.fmu.path} {ended} {PHASES.get(phase, 'when it was done')}"
+    return f"{component.fmu.path} {ended} {PHASES[phase][1] if phase in PHASES else 'when it was done'}"
+
+
+def _last(outcome: Path) -> tuple[str, str]:
+    """What a child has written last: the phase, and words."""
+    phase, _, words = outcome.read_text(encoding="utf-8").rstrip("\n").rpartition("\n")[2].partition(" ")
+    return phase, words
 
 
 def _ending(code: int) -> str:

@@ -5,6 +5,7 @@ A child that crashes, or that the system kills, is one command that failed; the 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -12,20 +13,19 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import IO, Any
 
+from .. import watch
 from ..errors import OrchError, RunError
 from ..plan.plan import Plan
 
 POLL = 0.05  # s
-GRACE = 10.0  # s that a child has to close its record after an interrupt
+GRACE = 10.0  # s that a child has to end in order after an interrupt
+LAST = 5.0  # s that it has to close its record after a second one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ def run_plans(commands: Sequence[ChildCommand], watch: Watch) -> list[dict[str, 
     return [json.loads(ended[id(command)].stdout) for command in commands]
 
 
-def run_all(commands: Iterable[ChildCommand], watch: Watch, at_once: int = 0) -> list[ChildResult]:
+def run_all(commands: Iterable[ChildCommand], progress: Watch, at_once: int = 0) -> list[ChildResult]:
     """Run commands, the most costly first.
 
     at_once: processes; 0 takes one a core.  Returns the commands in the order in which they ended.
@@ -107,19 +107,19 @@ def run_all(commands: Iterable[ChildCommand], watch: Watch, at_once: int = 0) ->
     waiting = sorted(commands, key=lambda command: -command.cost)
     running: list[_Child] = []
     ended: list[ChildResult] = []
-    try:
-        with _terminable():
+    with watch.terminable():
+        try:
             while waiting or running:
                 while waiting and len(running) < (at_once or cores()):
                     running.append(_start(waiting.pop(0)))
-                watch([child.command.name for child in running], None)
+                progress([child.command.name for child in running], None)
                 time.sleep(POLL)
                 for child in [c for c in running if c.process.poll() is not None]:
                     running.remove(child)
                     ended.append(_end(child))
-                    watch([c.command.name for c in running], ended[-1])
-    finally:
-        _interrupt(running)
+                    progress([c.command.name for c in running], ended[-1])
+        finally:
+            _interrupt(running)
     return ended
 
 
@@ -129,8 +129,11 @@ def _start(command: ChildCommand) -> _Child:
     with tempfile.TemporaryFile() as stdin:
         stdin.write(command.stdin)
         stdin.seek(0)
-        # A session of its own: Ctrl-C on the terminal reaches this process alone, which passes it on once.
-        process = subprocess.Popen(arguments, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True)
+        # A session of its own: Ctrl-C on the terminal reaches this process alone, which passes it on.
+        with _reporting(command.name) as more:
+            process = subprocess.Popen(
+                arguments, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True, **more
+            )
     return _Child(command, process, stdout, stderr, time.monotonic())
 
 
@@ -150,35 +153,32 @@ def _end(child: _Child) -> ChildResult:
 
 
 def _interrupt(children: list[_Child]) -> None:
-    """Interrupt what still runs, and kill what does not end within GRACE."""
+    """Interrupt what still runs; once more where it has not ended within GRACE, or at another Ctrl-C; then kill it."""
+    for seconds in (GRACE, LAST):
+        for child in [child for child in children if child.process.poll() is None]:
+            if sys.platform == "win32":
+                child.process.terminate()
+            else:
+                child.process.send_signal(signal.SIGINT)
+        until = time.monotonic() + seconds
+        with contextlib.suppress(KeyboardInterrupt):
+            while any(child.process.poll() is None for child in children) and time.monotonic() < until:
+                time.sleep(POLL)
     for child in children:
-        if sys.platform == "win32":
-            child.process.terminate()
-        else:
-            child.process.send_signal(signal.SIGINT)
-    until = time.monotonic() + GRACE
-    for child in children:
-        try:
-            child.process.wait(max(0.0, until - time.monotonic()))
-        except (subprocess.TimeoutExpired, KeyboardInterrupt):
-            child.process.kill()
-            child.process.wait()
+        child.process.kill()
+        child.process.wait()
 
 
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Signals that end a process at once raise KeyboardInterrupt instead, so that no child is left behind."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {name: signal.signal(getattr(signal, name), interrupt) for name in names}
+@contextlib.contextmanager
+def _reporting(name: str) -> Iterator[dict[str, Any]]:
+    """Arguments of Popen with which the child reports what hangs to this process's stderr; its own is kept."""
     try:
-        yield
+        descriptor = os.dup(watch.REPORTS)
+    except OSError:  # this process has none
+        yield {}
+        return
+    try:
+        reports = f"{descriptor}:{watch.LABEL}{name}: "
+        yield {} if os.name == "nt" else {"pass_fds": [descriptor], "env": {**os.environ, "ORCH_REPORTS": reports}}
     finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
+        os.close(descriptor)

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ...watch import INTERRUPTED
+
 if TYPE_CHECKING:
     from ...plan.plan import Plan
     from ...runs.outside import Outside
 
-INTERRUPTED = 130  # exit code
+EXIT_CODES = {"completed": 0, "failed": 3, "interrupted": INTERRUPTED}  # by status
 
 
 def results_option(command: Callable[..., Any]) -> Callable[..., Any]:

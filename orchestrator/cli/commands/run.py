@@ -12,7 +12,7 @@ from ... import files
 from ...errors import ExperimentError, OrchError
 from ...warning import printed
 from .options import (
-    INTERRUPTED,
+    EXIT_CODES,
     changes_options,
     json_option,
     live_of,
@@ -124,9 +124,7 @@ def run(
         with Run(result.file) as record:
             if len(record.time):  # else the run failed at once, which is reported above
                 exporting.export(record, "tlog", Path(tlog))
-    if result.status == "completed":
-        return 0
-    return 3 if result.status == "failed" else INTERRUPTED
+    return EXIT_CODES[result.status]
 
 
 @click.command()
@@ -151,7 +149,9 @@ def rerun(run: str, verify: bool, force: bool, results: str) -> int:
         if not verify:
             result = runner.execute(plan, results=results, force=force, context=again.replay_of(record, plan))
             click.echo(show.result(result, plan))
-            return 0 if result.status == "completed" else 3
+            if result.status != "completed":
+                click.echo(f"{result.file}: {result.error}", err=True)
+            return EXIT_CODES[result.status]
         difference = again.verify(record, plan)
         if difference is None and record.status == "failed" and not len(record.time):
             again_so = f"the run failed again in the same way: {record.attributes['error']}"

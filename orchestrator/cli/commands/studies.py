@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from ... import files
+from ...watch import INTERRUPTED
 from .options import (
-    INTERRUPTED,
     changes_options,
     json_option,
     packaging_option,

@@ -7,17 +7,24 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ....errors import OrchError
+from ....instances.scratch import remove_abandoned
+from ....watch import at_halt, doing
 from ...processes import cores
+from . import worker
 from .storage import MISSING
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Nanny
 
 PATIENCE = 20.0  # s until a scheduler or the first worker answers
+SETTLING = 0.2  # s that the system takes to end a process that is killed
 
 
 @contextlib.contextmanager
@@ -41,7 +48,10 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             "distributed.scheduler.worker-saturation": 1.0,
         }
     )
+    processes: list[Nanny] = []
     with contextlib.ExitStack() as stack:
+        stack.callback(doing, "")  # not before they have ended
+        stack.enter_context(at_halt(lambda: _kill(processes)))
         if scheduler is None:
             cluster = stack.enter_context(
                 LocalCluster(
@@ -55,6 +65,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                     host="127.0.0.1",
                 )
             )
+            processes += cluster.workers.values()
             connected = stack.enter_context(Client(cluster))
         else:
             try:
@@ -71,6 +82,22 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 def ignore_ctrl_c() -> None:
     """In a worker of this machine: Ctrl-C reaches it by `worker.interrupt` alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end(client: Client, token: str) -> None:
+    """Ask the workers to end the runs of a process, see `worker.interrupt`; from now on they may hang."""
+    doing("the workers have not ended their runs")
+    client.run(worker.interrupt, token)
+
+
+def _kill(processes: Sequence[Nanny]) -> str:
+    """End workers of this machine, whatever they do, and delete the FMUs that they have unpacked."""
+    for process in processes:
+        with contextlib.suppress(OSError, TypeError):  # it has ended
+            os.kill(process.pid, signal.SIGKILL)
+    time.sleep(SETTLING)
+    remove_abandoned(Path(tempfile.gettempdir()))
+    return ""
 
 
 def mismatch(client: Client) -> str:

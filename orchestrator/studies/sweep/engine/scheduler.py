@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from ....errors import OrchError, StoreError
 from ....records.file.provenance import git_commit
-from ....watch import Interrupt, interruptible
+from ....watch import Interrupt, at_halt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import PreparedSweep, SweepJob
 from . import cluster, fmu_cache, table, worker
@@ -86,7 +86,13 @@ def sweep(
     job = prepared.job(address, facts)
     storage = Storage(job.folder)
     result = SweepResult(prepared, storage)
-    with locked(storage), interruptible() as pressed:
+
+    def tabulate() -> str:
+        text = table.text(prepared.points, result.by_index, [column.name for column in prepared.columns])
+        storage.write(table.TABLE, text.encode())
+        return ""
+
+    with locked(storage), interruptible() as pressed, at_halt(tabulate):
         lay_out(prepared, storage)
         try:
             with cluster.client(scheduler, workers) as client:
@@ -98,8 +104,7 @@ def sweep(
             _clear(storage)
         finally:
             result.interrupted = pressed.is_set()
-            text = table.text(prepared.points, result.by_index, [column.name for column in prepared.columns])
-            storage.write(table.TABLE, text.encode())
+            tabulate()
     return result
 
 
@@ -126,7 +131,7 @@ def _run(
             waiting.clear()
             alone.clear()
             if not stopping:
-                client.run(worker.interrupt, token)  # batches that wait come back empty
+                cluster.end(client, token)  # batches that wait come back empty
                 stopping = True
         if not submitted:
             break

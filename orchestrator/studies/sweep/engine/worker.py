@@ -21,7 +21,7 @@ from ....records.file.access import UNREADABLE
 from ....records.file.marks import Standing, kinds_of
 from ....records.file.provenance import versions
 from ....records.file.run import Run
-from ....watch import Interrupt
+from ....watch import Interrupt, interruptible
 from ..design.matrix import DesignPoint
 from ..design.prepared import ID_LENGTH, SweepJob
 from . import fmu_cache
@@ -74,7 +74,7 @@ def batch(token: str, job: SweepJob, points: Sequence[DesignPoint], stop_at_fail
             break
         began = time.perf_counter()
         try:
-            with _one_at_a_time:
+            with _one_at_a_time, interruptible(interrupt, f"run {point.index} of the sweep: "):
                 result = _run(job, point, fmu_cache.of_this_process(), storage, interrupt)
         except KeyboardInterrupt:
             break

@@ -5,6 +5,7 @@ At the end an ordinary sweep compares the tuned and the default parameters on dr
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import json
@@ -187,8 +188,9 @@ def _search(
                     asked[fmu] = None
                 trial_ended(fmu, searches[fmu].ended, spec.trials, searches[fmu].best)
     if pressed.is_set():
-        client.run(worker.interrupt, token)
-        wait(list(submitted), timeout=cluster.PATIENCE)
+        cluster.end(client, token)
+        with contextlib.suppress(TimeoutError):
+            wait(list(submitted), timeout=cluster.PATIENCE)
     return [one.tuned() for one in searches.values()]
 
 
