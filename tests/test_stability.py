@@ -24,6 +24,11 @@ def models(_build_folder):
     return build.build([str(SOURCES / f"{name}.py") for name in ("limited_law", "lag", "noisy_sensor")])
 
 
+@pytest.fixture(scope="module")
+def explosive(_build_folder):
+    return build.build([str(SOURCES / f"{name}.py") for name in ("law", "plant")])
+
+
 @pytest.fixture
 def loop(models):
     """loop(**parameters of the law) -> an experiment: a law and a lag of one step, unstable for gains above 1.
@@ -73,6 +78,35 @@ def test_a_loop_beyond_its_limit_is_reported_with_signal_share_step_and_what_to_
     assert re.search(r"at half the step the rms of law\.u\.a is 9\d% less", warning)
     assert "the numbers of the run are wrong even where they look right; take a smaller step" in warning
     assert warning.kind == "unstable"
+
+
+@pytest.mark.parametrize(
+    ("integrators", "gain", "stop"),
+    [
+        (1, 2.1 / STEP, 0.1),  # times -1.1 in each step, for a hundred steps
+        (1, 2.1 / STEP, 1.0),
+        (2, (0.8 / STEP) ** 2, 0.1),  # times 1.28 in each step, at periods of nine
+    ],
+)
+def test_a_loop_that_explodes_is_reported_though_it_is_small_until_the_end(
+    warnings, explosive, integrators, gain, stop
+):
+    """Without limits, a loop that grows fast has most of its squares in the last steps of the run."""
+    chain = [f"p{k}" for k in range(integrators)]  # from the one that is measured to the one that is driven
+    table = {
+        "master": {"stop_time": stop, "step": STEP},
+        "components": {
+            "law": {"fmu": str(explosive["law"]), "start": {"r": 0.0}},
+            **{name: {"fmu": str(explosive["plant"])} for name in chain},
+        },
+        "connections": {
+            "law.x": "p0.x",
+            f"{chain[-1]}.u": {"from": "law.u", "gain": 2 * gain},
+            **({"p0.u": "p1.x"} if integrators == 2 else {}),
+        },
+    }
+    ((text),) = warnings(table)
+    assert "the feedback loop is unstable at this step" in text
 
 
 def test_a_loop_within_its_limit_is_not_reported(loop, warnings):

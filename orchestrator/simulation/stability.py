@@ -93,11 +93,16 @@ def suspects(bursts: Bursts) -> list[Suspect]:
         values = values[..., columns] / largest[columns]
         squares = weights @ (values**2).mean(axis=1)
         lines, by_step = _spectra(values), _by_step(values, weights)
+        # The window of a spectrum hides what explodes: half of the squares, or more, at the end of the bursts.
+        at_end = weights @ (values[:, -(length // 8) :] ** 2).sum(axis=1) / length
+        explodes = ~(at_end < 0.5 * squares)
+        shown = weights @ (values**2 * _window(length)[:, np.newaxis] ** 2).mean(axis=1)
         for place, column in enumerate(columns.tolist()):
             fast = lines[:, first:, place].sum(axis=1)
             output = int(clock.chosen[column])
-            # The window of a spectrum hides what explodes; by_step is a lower bound.
-            share = float(weights @ fast / squares[place] if np.isfinite(rms[output]) else by_step[place])
+            share = float(weights @ fast / squares[place])
+            if not share >= SHARE and explodes[place]:  # by_step is a lower bound
+                share = max(float(by_step[place]), min(1.0, float(weights @ fast / shown[place])))
             if share >= SHARE:
                 steps, rhythm = _strongest(weights @ lines[..., place], first, length)
                 found.append(Suspect(output, number, column, share, steps, rhythm, _enough(weights, fast)))
@@ -229,8 +234,7 @@ def _first_fast(length: int) -> int:
 def _spectra(values: Reals) -> Reals:
     """(bursts, lines, n): mean squares by frequency, straight trends taken off.  values: (bursts, steps, n)."""
     length = values.shape[1]
-    window = np.hanning(length)
-    window /= np.sqrt((window**2).mean())
+    window = _window(length)
     time = np.arange(length) - (length - 1) / 2
     slopes = np.tensordot(values, time, (1, 0)) / (time @ time)
     rest = values - values.mean(axis=1, keepdims=True) - slopes[:, np.newaxis] * time[:, np.newaxis]
@@ -238,6 +242,12 @@ def _spectra(values: Reals) -> Reals:
     if length % 2 == 0:
         lines[:, -1] /= 2
     return np.asarray(lines)
+
+
+def _window(length: int) -> Reals:
+    """Hann's, (length,), of the mean square 1."""
+    window = np.hanning(length)
+    return np.asarray(window / np.sqrt((window**2).mean()))
 
 
 def _strongest(lines: Reals, first: int, length: int) -> tuple[float, float]:
