@@ -28,6 +28,7 @@ lint: $(VENV)/.installed-dev
 
 reference: $(VENV)/.installed # after a change of the experiment file's keys
 	$(BIN)/python -m orchestrator.experiment.schema.reference docs/experiment.md
+	$(BIN)/python -m orchestrator.fmu.declared docs/fmus.md
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/speed.py

@@ -10,11 +10,14 @@ import zipfile
 from pathlib import Path
 
 import casadi
+import fmpy
 import h5py
 import pytest
+from lxml import etree
 
 import orchestrator
 from fmu_files import SOURCES, compile_fmu, needs_compiler, paper_fmu
+from orchestrator.fmu import declared
 from test_archive import with_description
 
 pytestmark = needs_compiler
@@ -495,3 +498,143 @@ def test_limits_of_unsigned_numbers_are_read(bucket, resolve, tmp_path):
     )
     plan = resolve(alone(bucket(3, ("</ModelVariables>", low + "</ModelVariables>")), parameters={"small": 1}))
     assert plan.warnings == ["one: small = 1 is below 2, the min that its FMU declares"]
+
+
+# --- The table -------------------------------------------------------------------------------------------------------
+
+XS = "{http://www.w3.org/2001/XMLSchema}"
+SCHEMAS = Path(fmpy.__file__).parent / "schema"
+
+
+def attributes_of_schema(version):
+    """{(place of the table, attribute)} of everything that the schema of a version allows below its root."""
+    named = {}
+    for file in sorted((SCHEMAS / f"fmi{version}").glob("*.xsd")):
+        for element in etree.parse(file).getroot():
+            if isinstance(element.tag, str):
+                named.setdefault((element.tag, element.get("name")), element)
+    result = set()
+
+    def local(name):
+        return name.rpartition(":")[2]
+
+    def content(node, path):
+        for child in node.iterchildren(tag=etree.Element):
+            kind = child.tag.removeprefix(XS)
+            if kind == "attribute":
+                result.add((place_of(path), child.get("name")))
+            elif kind in ("attributeGroup", "group") and child.get("ref"):
+                content(named[f"{XS}{kind}", local(child.get("ref"))], path)
+            elif kind == "element":
+                walk(child, path)
+            elif kind != "annotation":
+                if kind == "extension" and (f"{XS}complexType", local(child.get("base"))) in named:
+                    content(named[f"{XS}complexType", local(child.get("base"))], path)
+                content(child, path)
+
+    def walk(element, path):
+        if element.get("ref"):
+            element = named[f"{XS}element", local(element.get("ref"))]
+        path = (*path, element.get("name"))
+        type_ = named.get((f"{XS}complexType", local(element.get("type") or "")))
+        content(element if type_ is None else type_, path)
+
+    walk(named[f"{XS}element", "fmiModelDescription"], ())
+    return result
+
+
+def place_of(path):
+    last, below = path[-1], path[1:]
+    if last in ("Tool", "Annotation"):
+        return "annotation"
+    if below[:1] in (("ModelExchange",), ("ScheduledExecution",)):
+        return below[0]
+    if last == "File":
+        return "SourceFiles"
+    if last in ("ClockType", "Clock"):
+        return "clock"
+    if below[:1] == ("ModelStructure",):
+        known = any(name in below[1] for name in ("Output", "InitialUnknown")) if below[1:] else False
+        return "Output, InitialUnknown" if known else "other unknowns"
+    if last in ("Alias", "Dimension", "Start", "Item", "Unit", "BaseUnit", "DisplayUnit", "Category"):
+        return last
+    if below[:1] == ("TypeDefinitions",):
+        return "type"
+    return "variable" if below[:1] == ("ModelVariables",) else last
+
+
+def test_the_table_has_every_attribute_of_the_schemas_and_no_other():
+    in_schema = attributes_of_schema(2) | attributes_of_schema(3)
+    rows = [(row.place, name) for row in declared.TABLE for name in row.attributes]
+    assert len(rows) == len(set(rows))
+    whole = {place for place, name in rows if name == "*"}
+    assert len(in_schema) > 150
+    assert {row for row in in_schema if row[0] not in whole} == {row for row in rows if row[1] != "*"}
+    assert whole <= {place for place, _ in in_schema}
+
+
+def test_the_page_has_the_table():
+    page = (Path(__file__).parent.parent / "docs" / "fmus.md").read_text(encoding="utf-8")
+    assert f"{declared.BEGIN}\n{declared.page()}\n{declared.END}" in page, "run `make reference`"
+
+
+SLAVE = "<CoSimulation "
+CLOCK = (
+    '<Clock name="tick" valueReference="40" causality="input" variability="discrete" intervalVariability="constant" '
+    'intervalDecimal="0.1"/><Int32 name="counted" valueReference="41" causality="local" variability="discrete" '
+    'clocks="40"/>'
+)
+
+
+@pytest.mark.parametrize(
+    ("version", "change", "note"),
+    [
+        (
+            2,
+            (SLAVE, SLAVE + 'needsExecutionTool="true" '),
+            "needs the tool that exported it on the machine that runs it (needsExecutionTool)",
+        ),
+        (
+            2,
+            (SLAVE, SLAVE + 'canRunAsynchronuously="true" '),
+            "may answer a step before it is done (canRunAsynchronuously): a run in which it does so fails",
+        ),
+        (
+            2,
+            ("<ModelVariables>", '<DefaultExperiment startTime="5"/><ModelVariables>'),
+            "its own experiment begins at 5 s (DefaultExperiment); runs begin at 0 s",
+        ),
+        (
+            3,
+            ("</ModelVariables>", CLOCK + "</ModelVariables>"),
+            "its clock tick does not tick: variables of a clock keep their values",
+        ),
+        (3, (SLAVE, SLAVE + 'canHandleVariableCommunicationStepSize="false" maxOutputDerivativeOrder="1" '), None),
+    ],
+)
+def test_what_a_run_does_not_do_is_noted_by_check_and_by_the_run(bucket, orch, write, version, change, note):
+    path = write(alone(bucket(version, change)))
+    expected = [f"one: {note}"] if note else []
+    assert orch("check", path, "--json").json["notes"] == expected
+    answer = orch("run", path)
+    assert answer.code == 0, answer.err
+    assert [line.removeprefix("note: ") for line in answer.err.splitlines() if line.startswith("note: ")] == expected
+
+
+def test_an_fmu_is_shown_with_its_default_experiment(bucket, orch):
+    fmu = bucket(2, ("<ModelVariables>", EXPERIMENT + "<ModelVariables>"))
+    assert "startTime 0, stopTime 1, tolerance 1e-5" in orch("fmus", fmu).out
+    assert orch("fmus", fmu, "--json").json["default_experiment"]["tolerance"] == "1e-5"
+
+
+@pytest.mark.parametrize("loop", ["compiled", "python"])
+def test_steps_are_of_one_length_also_of_a_component_with_a_period_of_its_own(
+    bucket, write, tmp_path, loop, monkeypatch
+):
+    monkeypatch.setenv("ORCH_LOOP", loop)
+    fixed = bucket(3, (SLAVE, SLAVE + 'canHandleVariableCommunicationStepSize="false" '))
+    table = alone(fixed, step=0.03)
+    table["master"]["stop_time"] = 0.06
+    table["components"]["two"] = {"fmu": str(fixed), "start": "fmu"}
+    run = orchestrator.run(write(table), results=tmp_path)
+    assert (run["one.steps"][-1], run["two.steps"][-1]) == (2, 6)

@@ -80,6 +80,7 @@ def test_a_python_model_that_fails_is_reported_in_its_own_words(run, models, kin
         (5, 'fmi2Discard: "the step is too large"'),
         (6, "fmi2Fatal; the FMU logged no message"),
         (11, "fmi2Error; the FMU logged no message"),
+        (16, "fmi2Pending; the FMU logged no message"),
     ],
 )
 def test_a_c_fmu_that_fails_is_reported_in_its_own_words(run, probe, mode, words):

@@ -17,8 +17,8 @@ from typing import Any
 from ..errors import FmuError
 from ..names import split_axis
 from . import archive as archives
+from . import declared, units, variables
 from . import description as descriptions
-from . import units, variables
 from .units import Unit
 from .variables import Variable
 
@@ -57,6 +57,8 @@ class Fmu:
     # {output: inputs that it depends on in initialization; None: all}
     internal_step: float | None = None  # s; of FMI 3.0: fixedInternalStepSize
     tolerance: float | None = None  # of its DefaultExperiment
+    default_experiment: Mapping[str, str] = field(default_factory=dict)  # as the FMU writes it
+    notes: tuple[str, ...] = ()  # what it declares and a run does not do
     data_files: Mapping[str, str] = field(default_factory=dict)  # {name: SHA-256} of those that its model declares
 
     @property
@@ -157,6 +159,8 @@ def read(path: Path, structure: Mapping[str, int] | None = None) -> Fmu:
         initial_dependencies=_initial_dependencies(description),
         internal_step=float(slave.fixedInternalStepSize) if slave.fixedInternalStepSize else None,
         tolerance=_tolerance(description),
+        default_experiment={name: text for e in root.iterfind("DefaultExperiment") for name, text in e.attrib.items()},
+        notes=tuple(declared.notes(root)),
         data_files={file.get("name"): file.get("sha256") for file in root.iterfind(DATA_FILES)},
     )
 

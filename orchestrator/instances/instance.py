@@ -14,8 +14,8 @@ from ..errors import FmuError
 from ..fmu.fmu import Fmu
 from ..fmu.variables import DTYPES, Variable
 
-OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # fmi2Status, fmi3Status
-STATUS = ("OK", "Warning", "Discard", "Error", "Fatal")
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # fmi2Status, fmi3Status; 5: fmi2Pending
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 Verb: TypeAlias = Literal["Set", "Get"]
 Call: TypeAlias = Callable[[], int]  # returns the status

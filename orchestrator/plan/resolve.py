@@ -296,6 +296,7 @@ def _notes(experiment: Experiment, fmus: Fmus, reasons: Mapping[str, str]) -> li
     notes = [f"{name} runs in a process of its own: {reason}" for name, reason in reasons.items() if reason]
     for spec in experiment.components:
         fmu = fmus[spec.name]
+        notes += [f"{spec.name}: {note}" for note in fmu.notes]
         notes += [
             f"{spec.name}: dropped start.{name}, which {fmu.model_name} lacks" for name in _dropped_starts(spec, fmu)
         ]

@@ -19,9 +19,12 @@ typedef struct {
 typedef struct {
     State now;
     int stepping;
+    double h; /* of its steps, which must all be of one length */
 } Bucket;
 
 static int step(Bucket *b, double t, double h) {
+    if (b->h != 0.0 && b->h != h) return ERROR;
+    b->h = h;
     b->now.water += h * (1.0 + b->now.real[U]) * (0.5 - b->now.water);
     b->now.real[Y] = b->now.water / 3.0 + t;
     b->now.steps += 1;

@@ -120,6 +120,7 @@ int fmi2DoStep(Probe *p, double t, double h, int keep) {
         case 12: *(volatile int *)NULL = 1; break;
         case 13: abort();
         case 14: exit(3);
+        case 16: return 5; /* fmi2Pending */
         case 15: for (;;) sleep(1);
     }
     return OK;

@@ -271,6 +271,10 @@ def fmu(fmu: Fmu) -> str:
         ("sha256", fmu.sha256),
         ("FMI", f"{fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})"),
         ("capabilities", ", ".join(able) or "none"),
+        *(
+            [("default experiment", ", ".join(f"{k} {v}" for k, v in fmu.default_experiment.items()))]
+            * bool(fmu.default_experiment)
+        ),
         *(("data file", f"{name} {digest[:10]}") for name, digest in fmu.data_files.items()),
     ]
     lines = [f"{fmu.model_name}: {fmu.description}", *table(facts, 2, title=False)]
@@ -314,6 +318,7 @@ def fmu_as_json(fmu: Fmu) -> dict[str, Any]:
         "packaging": fmu.packaging,
         "tool": fmu.tool,
         "capabilities": dict(fmu.capabilities),
+        "default_experiment": dict(fmu.default_experiment),
         "data_files": dict(fmu.data_files),
         "variables": [
             {
