@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fmu_files import SOURCES
 from orchestrator import open_run
 from orchestrator.experiment.sweep import read as read_sweep
 from orchestrator.experiment.tune import read as read_tune
+from orchestrator.models import build
 from orchestrator.studies.sweep.design.matrix import points
 from orchestrator.studies.sweep.tuning import designs
 
@@ -60,6 +62,36 @@ def assert_problems(answer):
         "a logarithm needs a positive number",
     ):
         assert answer.err.count(words) == 1
+
+
+@pytest.mark.usefixtures("_build_folder")
+def test_an_error_of_either_sign_is_tuned_by_its_size(orch, write):
+    """`one` is its bias, from -5 to 5; `other` is about 1: the best error is 0, and not -6."""
+    curve = str(build.build([str(SOURCES / "curve.py")])["curve"])
+    bias = {"distribution": "uniform", "low": -5.0, "high": 5.0}
+    table = {
+        "master": {"stop_time": 0.02, "step": 0.01},
+        "components": {
+            name: {"fmu": curve, "start": {"u": 0.0}, "parameters": {"bias": 1.0}} for name in ("one", "other")
+        },
+        "metrics": {"miss": {"of": "final", "signal": "one.y", "reference": "other.y"}},
+        "sweep": {
+            "seed": 1,
+            "vary": {"components.other.parameters.bias": bias | {"low": 0.9, "high": 1.1}},
+            "tune": {
+                "objective": "miss",
+                "component": "one",
+                "trials": 12,
+                "draws": 1,
+                "held_out": 2,
+                "search": {curve: {"bias": bias}},
+            },
+        },
+    }
+    answer = orch("tune", write(table), "--json")
+    assert answer.code == 0, answer.err
+    (controller,) = answer.json["controllers"]
+    assert 0.0 <= controller["best"] < 0.2  # that of the first trial, which has the defaults, is below 0.1
 
 
 def test_a_search_needs_neither_draws_nor_lists_of_a_sweep(orch, tuning, write):

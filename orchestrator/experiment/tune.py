@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import Problem, did_you_mean
+from ..metrics import METRICS, smaller_is_better
 from .keys import split_key
 from .schema.sections import GOALS, SEARCHABLE, TUNE
 from .schema.value_types import is_number
@@ -29,11 +30,13 @@ Space = Mapping[str, Mapping[str, Any]]  # {parameter: its distribution}
 class TuneSpec:
     """A [sweep.tune] that was read.
 
-    objective: {metric: weight}.  goal: one of GOALS.  component: whose FMU varies.  trials: of each controller.  draws:
-    that a trial is judged on.  held_out: draws of the comparison at the end.  spaces: {FMU: what is searched}.
+    objective: {metric: weight}.  magnitudes: those of the metrics whose magnitude counts.  goal: one of GOALS.
+    component: whose FMU varies.  trials: of each controller.  draws: that a trial is judged on.  held_out: draws of the
+    comparison at the end.  spaces: {FMU: what is searched}.
     """
 
     objective: Mapping[str, float]
+    magnitudes: frozenset[str] = frozenset()
     goal: str
     component: str
     trials: int
@@ -43,7 +46,11 @@ class TuneSpec:
 
     def value(self, metrics: Mapping[str, float]) -> float:
         """The objective of a run; no finite number where a metric has none."""
-        return sum(weight * metrics.get(name, math.nan) for name, weight in self.objective.items())
+        values = {name: metrics.get(name, math.nan) for name in self.objective}
+        return sum(
+            weight * (abs(values[name]) if name in self.magnitudes else values[name])
+            for name, weight in self.objective.items()
+        )
 
 
 def read(sweep: Mapping[str, Any], metrics: Mapping[str, Any]) -> tuple[TuneSpec, list[Problem]]:
@@ -66,6 +73,7 @@ def read(sweep: Mapping[str, Any], metrics: Mapping[str, Any]) -> tuple[TuneSpec
         problems.append(Problem("sweep.tune.component", words))
     spec = TuneSpec(
         objective=weights,
+        magnitudes=frozenset(name for name, metric in metrics.items() if _ranks_by_magnitude(metric)),
         goal=values["goal"],
         component=component,
         trials=values.get("trials", 1),
@@ -78,6 +86,12 @@ def read(sweep: Mapping[str, Any], metrics: Mapping[str, Any]) -> tuple[TuneSpec
     if "search" in values:
         problems += _search_problems(values["search"])
     return spec, problems
+
+
+def _ranks_by_magnitude(metric: Any) -> bool:
+    """Whether an entry of [metrics], right or not, is better the nearer it is to zero, as an error of either sign."""
+    of = metric.get("of") if isinstance(metric, dict) else None
+    return isinstance(of, str) and of in METRICS and smaller_is_better(metric)
 
 
 def _objective_problems(weights: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[Problem]:
