@@ -131,7 +131,7 @@ def problems(shipped, write, tmp_path):
 @pytest.fixture(scope="session")
 def models(_build_folder):
     """Builds the models that experiments of several tests name."""
-    names = ("trouble", "relay", "memory", "plus", "moody", "clock", "waves", "inverse")
+    names = ("trouble", "relay", "memory", "plus", "moody", "clock", "waves", "inverse", "seam")
     return build.build([str(SOURCES / f"{name}.py") for name in names])
 
 

@@ -85,6 +85,21 @@ def test_a_metric_that_doubles_with_each_halving_is_not_converged_however_small_
 
 @pytest.mark.parametrize("record", [{}, {"every": 0.04, "signals": ["model.y"]}])
 @pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_an_angle_on_either_side_of_the_seam_is_the_same_one(orch, write, models):
+    """pi + 1 mrad at 4 ms, pi - 1 and pi - 2 mrad at 2 and 1 ms: the order is 1, the limit pi - 3 mrad."""
+    table = {
+        "master": {"stop_time": 0.04, "step": 0.002},
+        "components": {"model": {"fmu": "seam"}},
+        "metrics": {"psi": {"of": "final", "signal": "model.eta.psi"}},
+    }
+    answer = orch("converge", write(table), "--steps", "4e-3,1e-3", "--json")
+    assert answer.code == 0, answer.err
+    psi = answer.json["metrics"]["psi"]
+    assert psi["order"] == pytest.approx(1.0, abs=1e-6)
+    assert psi["limit"] == pytest.approx(math.pi - 0.003)
+    assert psi["error"] == pytest.approx(0.002)
+
+
 def test_an_error_is_negligible_beside_its_quantity_in_any_unit_recorded_or_not(orch, inverse, unit, record):
     metrics = {name: {"of": "final", "signal": f"model.{name}", "unit": unit} for name in ("z.a", "z.b")}
     path = inverse(record, small=metrics["z.a"], large=metrics["z.b"])

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..errors import ExperimentError, Problem
 from ..fmu.units import conversion
-from ..metrics import METRICS, unit_of
+from ..metrics import METRICS, turn_of, unit_of
 from ..names import split_axis
 from ..plan.plan import Plan
 from ..records.file.run import Run
@@ -95,6 +95,7 @@ def study(
     metrics = []
     for name, spec in plan.experiment.metrics.items():
         values = {step: float(by_step[step]["metrics"][name]) for step in chosen}
+        values = _beside(values, own, turn_of(spec, plan.units, plan.angles))
         metrics.append(assess(name, unit_of(spec, plan.units), values, own, METRICS[spec["of"]].counts))
     small = _negligible(plan, [m.name for m in metrics if math.isfinite(m.error) and not m.converged(own)], report)
     metrics = [replace(metric, negligible=small.get(metric.name, 0.0)) for metric in metrics]
@@ -105,6 +106,13 @@ def study(
         metrics=tuple(metrics),
         warnings=warnings,
     )
+
+
+def _beside(values: dict[float, float], own: float, turn: float) -> dict[float, float]:
+    """Metrics by step; those that are angles, of which `turn` is a full one, as near as may be to that at `own`."""
+    if not turn:
+        return values
+    return {step: values[own] + math.remainder(value - values[own], turn) for step, value in values.items()}
 
 
 def _ended_early(plan: Plan, ends: Mapping[float, float]) -> list[Warned]:
