@@ -451,6 +451,22 @@ def test_a_file_that_a_python_model_reads_undeclared_is_a_warning(orch, write, t
     assert "bit-identical" in orch("rerun", "last", "--verify").out
 
 
+def test_an_equation_model_that_reads_a_file_undeclared_is_built_again_after_an_edit(orch, write, tmp_path):
+    source = TRACED.replace('    data = File("points.csv")\n', "").replace("File, ", "")
+    source = source.replace("self.data", repr(str(tmp_path / "points.csv")))
+    (tmp_path / "undeclared.py").write_text(source)
+    values = []
+    for text in ("8.0\n9.0\n", "9.0\n8.0\n"):
+        (tmp_path / "points.csv").write_text(text)
+        if not values:
+            built = orch("build", "undeclared.py")
+            words = f"note: undeclared reads {tmp_path / 'points.csv'} while it is built"
+            assert (built.code, words in built.err) == (0, True), built.err
+        answer = orch("run", write(alone("undeclared")), "--json")
+        values.append(orchestrator.open_run(tmp_path / answer.json["file"])["one.y"][-1])
+    assert values == [8.0, 9.0]
+
+
 def test_a_model_that_imports_libraries_and_reads_its_data_file_warns_of_nothing(orch, write, tmp_path):
     source = POINTS.replace("import numpy", "import email.mime.text, json, pandas\nimport numpy")
     (tmp_path / "clean.py").write_text(source)

@@ -2,7 +2,8 @@
 
 A request is {"source": file, "native": file or null, "python": file or null, "compilers": [{"command", "folder"}]}:
 where to write the FMU of which packaging; equations become a native FMU where one is wanted, a plain Python model
-never does.  An answer is {"source", "target", "sources": {path: sha256}, "plain": whether it is plain Python}, or
+never does.  An answer is {"source", "target", "sources": {path: sha256}, "plain": whether it is plain Python,
+"reads": files that it reads meanwhile without declaring them}, or
 {"source", "error": message, "compiler": whether the compiler failed}.
 """
 

@@ -14,6 +14,8 @@ from typing import Any
 from uuv.modelling.declare import Declared, data_files
 from uuv.modelling.equations import Model, trace
 
+from orchestrator.instances.opened import Opened
+
 from . import native, python_fmu
 
 UUV = pathlib.Path(__file__).parent.parent / "uuv"
@@ -25,9 +27,16 @@ def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Calla
     own = {source.name: source, **_imported(source)}
     files = own | {f"uuv/{path.relative_to(UUV)}": path for path in sorted(UUV.rglob("*.py"))}
     modules = {name: path.read_bytes() for name, path in sorted(files.items())}
-    model = _model(source, own.values())
-    data = {name: path.read_bytes() for name, path in data_files(model).items()}
-    equations = trace(model) if issubclass(model, Model) else None
+    own_modules = {pathlib.PurePath(name).parts[0].removesuffix(".py") for name in own}
+    opened = Opened(own_modules, UUV)
+    try:
+        model = _model(source, own.values())
+        data = {name: path.read_bytes() for name, path in data_files(model).items()}
+        equations = trace(model) if issubclass(model, Model) else None
+    finally:
+        opened.stop()
+    declared = {str(path) for path in data_files(model).values()}
+    reads = [path for module in own_modules for path in opened.files(module) if path not in declared]
     target = (equations and request["native"]) or request["python"]
     if target is None:
         raise ValueError("a PythonModel runs in Python only and has no native packaging")
@@ -38,12 +47,13 @@ def package(request: dict[str, Any], pool: concurrent.futures.Executor) -> Calla
     else:
         python_fmu.build(source.stem, model, equations, modules, data, pathlib.Path(target))
     digests = {str(path): hashlib.sha256(modules[name]).hexdigest() for name, path in files.items()}
+    digests |= {path: hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest() for path in reads}
     digests |= {str(path): hashlib.sha256(data[name]).hexdigest() for name, path in data_files(model).items()}
 
     def answer() -> dict[str, Any]:
         if wait is not None:
             wait()
-        return {"target": target, "sources": digests, "plain": equations is None}
+        return {"target": target, "sources": digests, "plain": equations is None, "reads": reads}
 
     return answer
 

@@ -64,7 +64,7 @@ def build(
         for name, source in stale.items():
             report(f"building {name}")
             was = catalogue.source_of(name)
-            if was is not None and was != source:
+            if was not in (None, source) and name not in shipped():
                 report(f"note: {name} was built from {was}; experiments that name {name} run {source} from now on")
         try:
             built |= _package(stale, packaging, compiler, report)
@@ -169,6 +169,9 @@ def _package(
     for name, answer in answers.items():
         if "error" not in answer:
             fmu = Path(answer["target"])
+            for path in answer["reads"]:
+                declare = f'File("{Path(path).name}")'
+                report(f"note: {name} reads {path} while it is built; to pack it into the FMU, declare it: {declare}")
             stamp = Stamp(
                 source=str(sources[name]),
                 sources=answer["sources"],
