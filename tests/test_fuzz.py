@@ -1,4 +1,5 @@
-"""Files spoiled at random are refused with an error message, or run; ORCH_FUZZ=10 tries 10 000 and 2 000 of them.
+"""Experiments, FMUs and records spoiled at random are refused with an error message, or run; ORCH_FUZZ=10 tries 10 000,
+2 000 and 1 000 of them.
 
 A mutant that breaks a rule is tried again, alone, by `python tests/peers/mutants experiments --only NUMBER`; what
 it shows gets a test of its own below.
@@ -17,6 +18,7 @@ from fmu_files import PROBE_VARIABLES, paper_fmu
 PEERS = Path(__file__).parent / "peers"
 FUZZ = int(os.environ.get("ORCH_FUZZ", "1"))
 EXPERIMENTS = 500 if FUZZ == 1 else 1000 * FUZZ
+RECORDS = 100 if FUZZ == 1 else 100 * FUZZ
 ARCHIVES = 500 if FUZZ == 1 else 200 * FUZZ
 
 
@@ -50,6 +52,13 @@ def test_spoiled_fmus_are_refused_with_a_message_or_read(shipped, tmp_path):
     said = mutants(tmp_path, "archives", "--count", ARCHIVES, "--given", tmp_path / "given")
     assert f"0 of {ARCHIVES} mutants" in said
     assert "check 0" in said
+
+
+def test_spoiled_records_are_refused_with_a_message_or_read(shipped, tmp_path):
+    said = mutants(tmp_path, "records", "--count", RECORDS)
+    assert f"0 of {RECORDS} mutants" in said
+    assert "show 0" in said
+    assert "show 2" in said
 
 
 # --- What mutants have found ------------------------------------------------------------------------------------------

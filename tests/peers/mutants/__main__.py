@@ -1,7 +1,8 @@
-"""Experiment files and FMUs spoiled at random, and what orch says to them: all in this one process.
+"""Experiment files, FMUs and records spoiled at random, and what orch says to them: all in this one process.
 
     python tests/peers/mutants experiments --count 500 --seed 1
     python tests/peers/mutants archives --count 100 --seed 1
+    python tests/peers/mutants records --count 100 --seed 1
     python tests/peers/mutants experiments --only 1234 --seed 1        one again, with all that orch says
 
 Works in the current folder.  A mutant must be refused with an error message (exit code 2) or be valid (0; of a run also
@@ -20,6 +21,7 @@ import tempfile
 import warnings
 
 import mutate_fmu
+import mutate_record
 import mutate_toml
 
 from orchestrator.cli import main as cli
@@ -91,7 +93,7 @@ def judge(number, commands, loud):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["experiments", "archives"])
+    parser.add_argument("what", choices=["experiments", "archives", "records"])
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", default="1")
     parser.add_argument("--only", type=int, metavar="NUMBER")
@@ -99,8 +101,8 @@ def main():
     asked = parser.parse_args()
     global SOURCES
     build.build(mutate_toml.MODELS)
-    mutate = mutate_toml if asked.what == "experiments" else mutate_fmu
-    sources = mutate_toml.sources() if asked.what == "experiments" else mutate_fmu.sources(asked.given)
+    mutate = {"experiments": mutate_toml, "archives": mutate_fmu, "records": mutate_record}[asked.what]
+    sources = mutate.sources(asked.given) if asked.what == "archives" else mutate.sources()
     warnings.simplefilter("ignore")  # zipfile's, of names that occur twice
     temporary = os.path.realpath(tempfile.gettempdir())
     mine = {"mutant.toml", "mutant.fmu", "results", *os.listdir()}
