@@ -83,8 +83,6 @@ def test_a_metric_that_doubles_with_each_halving_is_not_converged_however_small_
     assert not answer.json["converged"]
 
 
-@pytest.mark.parametrize("record", [{}, {"every": 0.04, "signals": ["model.y"]}])
-@pytest.mark.parametrize("unit", ["rad", "deg"])
 def test_an_angle_on_either_side_of_the_seam_is_the_same_one(orch, write, models):
     """pi + 1 mrad at 4 ms, pi - 1 and pi - 2 mrad at 2 and 1 ms: the order is 1, the limit pi - 3 mrad."""
     table = {
@@ -100,6 +98,8 @@ def test_an_angle_on_either_side_of_the_seam_is_the_same_one(orch, write, models
     assert psi["error"] == pytest.approx(0.002)
 
 
+@pytest.mark.parametrize("record", [{}, {"every": 0.04, "signals": ["model.y"]}])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
 def test_an_error_is_negligible_beside_its_quantity_in_any_unit_recorded_or_not(orch, inverse, unit, record):
     metrics = {name: {"of": "final", "signal": f"model.{name}", "unit": unit} for name in ("z.a", "z.b")}
     path = inverse(record, small=metrics["z.a"], large=metrics["z.b"])
