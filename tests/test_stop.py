@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -251,6 +252,20 @@ def test_a_study_reports_which_of_its_runs_hangs_and_ends_it(start, write, probe
     assert records
     assert all(rows(path) for path in records)
     assert not list((tmp_path / "tmp").iterdir())
+
+
+@needs_compiler
+@pytest.mark.skipif(sys.platform != "linux", reason="a process learns there only that its parent has ended")
+def test_runs_of_a_study_that_is_killed_end_with_it(start, write, probe, tmp_path):
+    table = native(probe, metrics={"last": {"of": "final", "signal": "one.y"}})
+    process = start("converge", write(table), "--steps", "0.005,0.02")
+    poll(lambda: "step 0.01 s: 'one' is in its step at t = 0.05 s, for " in said(process), process)
+    children = descendants(process)
+    process.kill()
+    poll(lambda: gone(children))
+    records = list(tmp_path.glob("results/*/*.h5"))
+    assert records
+    assert all(rows(path) for path in records)
 
 
 def swept(table, **tune):

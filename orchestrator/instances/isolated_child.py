@@ -154,11 +154,16 @@ class Server:
             wait = SLEEP
 
 
+def end_with_parent(number: int) -> None:
+    """Have the system (Linux) send this process a signal when its parent has ended, also where an FMU hangs."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(DEATH_SIGNAL, number)
+
+
 def main() -> None:
     connection, wake, memory, looks, parent = map(int, sys.argv[1:])
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError, AttributeError):  # Linux: also where the FMU hangs
-        ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGKILL)
+    end_with_parent(signal.SIGKILL)
     if os.getppid() != parent:
         return
     with mmap.mmap(memory, 0) as mapped:

@@ -10,10 +10,12 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import signal
 import sys
 from typing import Any
 
 from ..errors import OrchError
+from ..instances.isolated_child import end_with_parent
 from .runner import execute
 
 EXIT_CODES = {"completed": 0, "failed": 3, "interrupted": 130}
@@ -39,6 +41,7 @@ def run(job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
 
 
 if __name__ == "__main__":
+    end_with_parent(signal.SIGTERM)
     answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what an FMU prints is no part of the result
     code, outcome = run(pickle.load(sys.stdin.buffer))

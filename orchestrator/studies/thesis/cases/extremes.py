@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -22,6 +23,7 @@ import numpy as np
 
 from ....arrays import Reals
 from ....errors import RunError, StoreError
+from ....instances.isolated_child import end_with_parent
 from ....plan.plan import Plan
 from ....runs.prepare import prepare
 from ....simulation.master import run as run_master
@@ -232,6 +234,7 @@ def _groups(values: Reals, stride: int, function: Callable[..., Reals]) -> Reals
 
 
 if __name__ == "__main__":
+    end_with_parent(signal.SIGTERM)
     answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what an FMU prints is no part of the result
     _run(**pickle.load(sys.stdin.buffer))
