@@ -371,9 +371,10 @@ def long(sweep, write, draws=24):
     return write(sweep)
 
 
-def begin(path, results, *more):
+def begin(path, results, *more, **how):
     return subprocess.Popen(
         [ORCH, "sweep", path, "--results", results, "--json", *more],
+        **how,
         cwd=Path(path).parent,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -403,6 +404,22 @@ def test_a_sweep_interrupted_and_resumed_ends_with_the_same_table(orch, sweep, w
     again = orch("sweep", path, "--results", "parts", "--json").json
     assert again["reused"] == first["completed"]
     assert table_of(tmp_path / "parts") == table_of(tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").exists(), reason="finds the worker in /proc")
+def test_ctrl_c_while_workers_start_ends_a_sweep_in_order(sweep, write):
+    path = long(sweep, write)
+    process = begin(path, "results", start_new_session=True)
+    until = time.monotonic() + DEADLINE
+    while not workers_of(process.pid):
+        assert time.monotonic() < until, "no worker appears"
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers, too
+    out, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert json.loads(out)["status"] == "interrupted"
 
 
 @pytest.mark.slow

@@ -27,6 +27,8 @@ from .checkpoint.file import Checkpoint
 from .checkpoint.resume import resume
 
 PARTS = {2: "half the step", 4: "a quarter of the step", 8: "an eighth of the step", 16: "a sixteenth of the step"}
+INTERRUPTED = "the comparison was interrupted (orch run --force makes it)"
+
 Loops = Mapping[int, Sequence[Suspect]]  # the outputs that move fast, by loop
 
 
@@ -95,10 +97,10 @@ class Shorter(Observer):
         except FmuError as error:
             return f"an FMU cannot be run again: {error}"
         except KeyboardInterrupt:
-            return "the comparison was interrupted"
+            return INTERRUPTED
         self.steps = outcome.ticks - self.plan.first
         if interrupt.is_set():
-            return "the comparison was interrupted"
+            return INTERRUPTED
         if not self.verdicts:
             self.whole = True
             self._exact = outcome.ticks >= self._ends[1]

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,8 +54,8 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         stack.callback(doing, "")  # not before they have ended
         stack.enter_context(at_halt(lambda: _kill(processes)))
         if scheduler is None:
-            cluster = stack.enter_context(
-                LocalCluster(
+            with _ctrl_c_held_back():
+                local = LocalCluster(
                     n_workers=workers or cores(),
                     threads_per_worker=1,
                     processes=True,
@@ -64,7 +65,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                     silence_logs=logging.CRITICAL,
                     host="127.0.0.1",
                 )
-            )
+            cluster = stack.enter_context(local)
             processes += cluster.workers.values()
             connected = stack.enter_context(Client(cluster))
         else:
@@ -77,6 +78,20 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                     "by: dask worker ADDRESS --nthreads 1"
                 ) from None
         yield connected
+
+
+@contextlib.contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Ctrl-C, which reaches all processes of a terminal: those started here ignore it, this one has it after."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # started later, it would let signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def ignore_ctrl_c() -> None:

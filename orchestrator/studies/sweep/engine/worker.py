@@ -104,8 +104,9 @@ def _run(job: SweepJob, point: DesignPoint, cache: FmuCache, storage: Storage, i
     known = {**_here(), **job.facts, "sweep": storage.address.rpartition("-")[2]}
     with storage.scratch(name) as path:
         record = perform(plan, path, job.keep, known, interrupt, cache)
-        if record.outcome.status != "interrupted":
-            storage.put(path, name)
+        if interrupt.is_set():  # its loops may not have been compared with shorter steps: it would count as right
+            return PointResult(point.index, status="interrupted")
+        storage.put(path, name)
     outcome = record.outcome
     return PointResult(
         point.index,
