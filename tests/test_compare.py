@@ -243,6 +243,15 @@ def test_a_run_whose_numbers_are_wrong_is_marked_in_every_format(compare, store,
     assert compare(*what, "--json").json["metrics"][0]["best"] == [store.ids["far"]]
 
 
+def test_a_marked_run_that_is_not_like_the_others_takes_no_best_from_them(compare, store, tmp_path):
+    experiment = merged(table((0.5, 0.0, 0.0)), {"master.stop_time": 0.1})
+    experiment["metrics"] = {"far_x": METRICS_OF_WAVES["far_x"]}
+    _, path = run(tmp_path, experiment)
+    wrong = changed(path, tmp_path / "wrong.h5", {"warnings": ["it is wrong"], "warning_kinds": ["unstable"]})
+    answer = compare("near", "far", wrong, "--metrics", "far_x", "--json").json
+    assert (answer["metrics"][0]["best"], answer["notes"]) == ([store.ids["near"]], [])
+
+
 def test_what_is_never_reached_is_later_than_any_time(compare, models, tmp_path):
     metrics = {"settled": {"of": "convergence_time", "signal": "one.eta.x", "band": 1.5}}
     soon, late = (run(tmp_path, {**table((x, 0.0, 0.0)), "metrics": metrics}) for x in (1.0, 2.0))

@@ -170,7 +170,7 @@ def test_filters_and_columns_and_order(orch, store):
     [
         (("--status", "complete"), "did you mean 'completed'"),
         (("--since", "yesterday"), "is no time"),
-        (("--sort", "metrics.near"), "no run has it"),
+        (("--sort", "metrics.near"), "--sort: no run has 'metrics.near'; did you mean"),
         (("--columns", "metrics.fat"), "did you mean 'metrics.far'"),
     ],
 )

@@ -229,8 +229,8 @@ def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]
     """Metrics that share a name but are not one metric in all runs; and warnings that mark no number."""
     names: dict[str, list[str]] = {}  # {what is not the same: metrics}
     for name in dict.fromkeys(column.name for column in columns):
-        resolved = [e.attributes["experiment_resolved"] for e in entries]
-        if differences := unlike(name, [of for of in resolved if name in of["metrics"]]):
+        compared = [e for e in entries for column in e.metrics if column.name == name and not e.marks_of(column)]
+        if differences := unlike(name, [e.attributes["experiment_resolved"] for e in compared]):
             names.setdefault(in_words(differences), []).append(name)
     for words, those in names.items():
         who = f"{', '.join(those)} {'is' if len(those) == 1 else 'are'}"

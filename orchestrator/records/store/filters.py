@@ -78,7 +78,7 @@ def ordered(runs: Sequence[Facts], key: str, reverse: bool) -> list[Facts]:
     """Sorted by a dotted name, runs that lack it last.  Raises OrchError where all do."""
     has = [run for run in runs if query.lookup(run, key) is not None]
     if runs and not has:
-        raise OrchError(f"--sort {key}: no run has it")
+        raise OrchError(f"--sort: {_none_has(runs, key)}")
     texts = any(isinstance(query.lookup(run, key), str) for run in has)
     has.sort(key=lambda run: str(query.lookup(run, key)) if texts else query.lookup(run, key), reverse=reverse)
     return has + [run for run in runs if query.lookup(run, key) is None]
@@ -91,9 +91,17 @@ def cells(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[Any, ...]
     """
     for name in columns:
         if runs and name not in (*COLUMNS, MARKS) and all(query.lookup(run, name) is None for run in runs):
-            metrics = sorted({f"metrics.{metric}" for run in runs for metric in run["metrics"]})
-            raise OrchError(f"--columns: no run has {name!r}{did_you_mean(name, metrics, 'there are')}")
+            raise OrchError(f"--columns: {_none_has(runs, name)}")
     return [tuple(query.lookup(run, name) for name in columns) for run in runs]
+
+
+def _none_has(runs: Sequence[Facts], name: str) -> str:
+    """That no run has a dotted name, and which metrics there are instead."""
+    metrics = {f"metrics.{metric}" for run in runs for metric in run["metrics"]}
+    if name in metrics:
+        return f"no completed run among these has {name!r}; metrics of a part of a run are in orch show"
+    there = sorted(metric for metric in metrics if any(query.lookup(run, metric) is not None for run in runs))
+    return f"no run has {name!r}{did_you_mean(name, there, 'there are')}"
 
 
 def table(runs: Sequence[Facts], columns: Sequence[str]) -> list[tuple[str, ...]]:
