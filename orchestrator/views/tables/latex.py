@@ -15,6 +15,8 @@ SPECIAL = {
     "^": r"\textasciicircum{}",
     "…": r"\ldots{}",
     "†": r"\textsuperscript{\dag}",
+    "‡": r"\textsuperscript{\ddag}",
+    "§": r"\textsuperscript{\S}",
 }
 SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
 

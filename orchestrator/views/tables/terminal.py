@@ -12,6 +12,7 @@ GAP = 2  # spaces between columns
 WORD = 22  # characters; a longer word may be broken, a title longer than that and than its cells is wrapped
 LINES = 3  # of a cell, where another command shows the whole
 TIED = "\u00a0"  # a space at which a cell is not wrapped; it is printed as a space
+PIECE = re.compile(rf"(?:\.\.|\d\.(?=\d)|[^./_{TIED}])*(?:[./_{TIED}]|$)")
 
 
 def table(
@@ -36,7 +37,8 @@ def table(
     blocks = _blocks(narrow, names, room)
     lines: list[str] = []
     for block in blocks[:1] if rest else blocks:
-        widths = _fitted({k: wide[k] for k in block}, narrow, room)
+        least = [min(n, max(_longest_piece(cells), 1)) for n, cells in zip(narrow, columns, strict=True)]
+        widths = _fitted(_fitted({k: wide[k] for k in block}, narrow, room), least, room)
         cells = {k: [_wrapped(cell, width) for cell in columns[k]] for k, width in widths.items()}
         long = [cell for column in cells.values() for cell in column[title:] if rest and len(cell) > LINES]
         for cell in long:
@@ -78,6 +80,12 @@ def _narrowest(cells: Sequence[str], title: bool, widest: int) -> int:
     return min(widest, max(min(word, WORD), min(body // 3, WORD)))
 
 
+def _longest_piece(cells: Sequence[str]) -> int:
+    """The width below which a word would be broken where it may not."""
+    words = (word for cell in cells for word in cell.replace("\n", " ").split(" "))
+    return max((len(piece.rstrip(TIED)) for word in words for piece in PIECE.findall(word)), default=0)
+
+
 def _blocks(narrow: Sequence[int], names: int, room: int) -> list[list[int]]:
     """Numbers of the columns that stand beside each other, those of the names in every block."""
     blocks = [list(range(names))]
@@ -117,11 +125,14 @@ def _wrapped(cell: str, width: int) -> list[str]:
 
 
 def _pieces(word: str, width: int) -> str:
-    """A word with spaces at which it may be broken: none, or behind a point, a slash or an underscore."""
+    """A word with spaces at which it may be broken: none, or behind a point, a slash, an underscore or what is tied.
+
+    A number is not broken behind its point.
+    """
     if len(word) <= width:
         return word
     pieces = [""]
-    for part in re.findall("[^./_]*[./_]|[^./_]+", word):
+    for part in PIECE.findall(word):
         if pieces[-1] and len(pieces[-1] + part) > width:
             pieces.append("")
         pieces[-1] += part

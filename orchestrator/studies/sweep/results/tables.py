@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -137,8 +138,10 @@ def legend(analysis: SweepAnalysis, pairs: bool = True) -> list[str]:
     ]
     shown = pairs and analysis.pairs
     if shown:
-        lines[-1] += f"; Wilcoxon's signed-rank test on paired draws, Holm-corrected over {len(analysis.pairs)} "
-        lines[-1] += f"comparisons, at {LEVEL:g}; effect: rank-biserial, -1 where first is smaller in every draw"
+        number = len(analysis.pairs)
+        lines[-1] += f"; Wilcoxon's signed-rank test on paired draws, Holm-corrected over {number} "
+        lines[-1] += f"comparison{'s' * (number > 1)}, at {LEVEL:g}; effect: rank-biserial, -1 where first is smaller "
+        lines[-1] += "in every draw"
     if any(s.n != s.common for s in analysis.summaries):
         lines.append(
             "common draws: mean on draws in which all contenders have a number, but for those that lack half of theirs"
@@ -149,7 +152,7 @@ def legend(analysis: SweepAnalysis, pairs: bool = True) -> list[str]:
     if any(1 < n < FEW for n in samples):
         lines.append(
             f"{LOOSE.strip()} of fewer than {FEW} draws: not an interval to lean on: it holds the mean less often "
-            "than it says (of 3 draws in 60 to 71 of 100 sweeps)"
+            "than it says (of 3 draws in 60 to 72 of 100 sweeps)"
         )
     if shown and any(p.smaller and p.fewer == p.smaller for p in analysis.pairs):
         lines.append(f"{FEWER.strip()} smaller where it has a number, and has one in fewer draws than the other")
@@ -210,7 +213,8 @@ def latex_text(analysis: SweepAnalysis, pairs: bool = True) -> str:
 
 
 def _latex(cell: str) -> str:
-    return latex.escape(cell).replace(" .. ", " -- ").replace("< ", "$<$ ")
+    text = re.sub(r"(?<![\w.-])-(?=\d)", "$-$", latex.escape(cell))  # minus signs, not hyphens
+    return text.replace(" .. ", " to " if "$-$" in text else " -- ").replace("< ", "$<$ ")
 
 
 def _row(cells: Sequence[str]) -> str:
