@@ -241,7 +241,13 @@ def list_of(
             return False
         return type is None or not any(type.problem(item) for item in value)
 
-    return _type(f"list of {type.words}s" if type else "list", json, fits, otherwise)
+    return _type(f"list of {_plural(type.words)}" if type else "list", json, fits, otherwise)
+
+
+def _plural(words: str) -> str:
+    """list of texts or table: lists of texts or tables"""
+    parts = (part.partition(" of ") for part in words.split(" or "))
+    return " or ".join(f"{noun}s{of}{content}" for noun, of, content in parts)
 
 
 def table(section: Section) -> ValueType:
@@ -255,7 +261,7 @@ def named(type: ValueType, pattern: str = "") -> ValueType:
         json: Json = {"type": "object", "additionalProperties": type.json}
     else:
         json = {"type": "object", "patternProperties": {pattern: type.json}, "additionalProperties": False}
-    return ValueType(words=f"table of {type.words}s", json=json, problem=TABLE.problem)
+    return ValueType(words=f"table of {_plural(type.words)}", json=json, problem=TABLE.problem)
 
 
 def either(*types: ValueType, otherwise: str = "") -> ValueType:
