@@ -29,7 +29,7 @@
 /* BOARD of watch.py */
 typedef struct {
     int64_t place, count, components, names, pressed;
-    double step, alive;
+    double step, alive, patience;
     char what[512];
 } Board;
 
@@ -133,7 +133,7 @@ static void *look(void *argument) {
             report(self, call, t - since);
             due *= 2;
         }
-        if (is_urgent(self, &first, board->pressed > 0) && t - since >= STUCK) end(self);
+        if (is_urgent(self, &first, board->pressed > 0) && t - since >= STUCK + board->patience) end(self);
     }
     pthread_mutex_unlock(&self->mutex);
     return NULL;

@@ -58,6 +58,7 @@ BOARD = [  # what the work is doing, as `_watch.c` reads it
     ("pressed", "i8"),  # signals that the thread of Python has seen
     ("step", "f8"),  # s
     ("alive", "f8"),  # s, monotonic: when it last ran
+    ("patience", "f8"),  # s that `what` has to end in order
     ("what", f"S{WHAT}"),  # UTF-8, like the names; "" where it waits for nothing that can hang
 ]
 
@@ -99,10 +100,13 @@ def interruptible(interrupt: Interrupt | None = None, label: str = LABEL) -> Ite
         _here.watch = before
 
 
-def doing(what: str) -> None:
-    """Say what this thread does from now on, such as "'vehicle' is loaded"; "" is nothing that can hang."""
+def doing(what: str, patience: float = 0.0) -> None:
+    """Say what this thread does from now on, such as "'vehicle' is loaded"; "" is nothing that can hang.
+
+    patience: s that it has to end in order, without an exception in it, also at a second Ctrl-C.
+    """
     if watch := getattr(_here, "watch", None):
-        watch.doing(what)
+        watch.doing(what, patience)
 
 
 def stepping(names: Sequence[str], step: float) -> Table:
@@ -190,7 +194,7 @@ class _Watch:
         self.interrupt, self._label = interrupt, label
         self.ends: list[End] = []
         self._board = np.zeros(1, dtype=np.dtype(BOARD, align=True))
-        self._what, self._step = "", 0.0
+        self._what, self._patience, self._step = "", 0.0, 0.0
         self._names: tuple[str, ...] = ()
         self._signals, self._signalled = socket.socketpair()
         self._signalled.setblocking(False)
@@ -198,8 +202,9 @@ class _Watch:
         self._halting = threading.Lock()
         self._main = threading.get_ident()
 
-    def doing(self, what: str) -> None:
-        self._what = what
+    def doing(self, what: str, patience: float) -> None:
+        self._what, self._patience = what, patience
+        self._board["patience"] = patience
         self._board["what"] = what.encode()[: WHAT - 1]
         self._board["count"] += 1
 
@@ -228,7 +233,8 @@ class _Watch:
                 if self._handled:
                     signal.set_wakeup_fd(earlier)
                 self._stopping = True
-                self._signalled.send(b"\0")
+                with contextlib.suppress(BlockingIOError):  # many signals wait
+                    self._signalled.send(b"\0")
                 thread.join()
 
     def _second_line(self) -> object:
@@ -239,7 +245,7 @@ class _Watch:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.interrupt.set()
-        if self._raising and self._call():
+        if self._raising and self._call() and not self._patience:
             self._raising = False
             raise KeyboardInterrupt
 
@@ -266,8 +272,8 @@ class _Watch:
                 due *= 2
             if not urgent and _is_urgent(pressed, now):
                 self.interrupt.urgent, urgent = True, now
-            if urgent and now - max(urgent, since) >= STUCK and (call := self._call()):
-                if not raised:
+            if urgent and now - max(urgent, since) >= STUCK + self._patience and self._call():
+                if not raised and not self._patience:
                     self._raising, raised = True, now
                     self._wake()
                 elif now - raised >= 2 * STUCK:

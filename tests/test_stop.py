@@ -395,3 +395,34 @@ os._exit(0)
     )
     assert (answer.code, answer.out) == (0, "on\n")
     assert answer.err.startswith("'one' is in its step at t = 0.05 s, for 1 s now\n")
+
+
+def test_a_record_that_is_being_closed_is_closed_whatever_is_pressed(python, write, endless):
+    write(flowing())
+    answer = python("""
+import glob
+import os
+import signal
+import threading
+import time
+import orchestrator as orch
+from orchestrator.records.file.recorder import Recorder
+
+conclude = Recorder._conclude
+
+
+def slowly(self):
+    for _ in range(3):
+        time.sleep(0.4)
+        os.kill(os.getpid(), signal.SIGINT)
+    conclude(self)
+
+
+Recorder._conclude = slowly
+threading.Thread(target=lambda: (time.sleep(1.0), os.kill(os.getpid(), signal.SIGINT))).start()
+try:
+    orch.run("mine.toml")
+except KeyboardInterrupt:
+    print(orch.open_run("last").status)
+""")
+    assert (answer.code, answer.out, answer.err) == (0, "interrupted\n", "")

@@ -28,6 +28,7 @@ from .provenance import attributes_of
 from .room import ReservedFile
 
 FLUSH_SECONDS = 1.0
+WRITING = 5.0  # s that a write has to end at a second Ctrl-C
 HEADER = 1 << 12  # bytes that a dataset takes without its values, and a node of its index, at most
 
 
@@ -55,9 +56,7 @@ def writing(
         try:
             with at_halt(recorder.halt):
                 yield recorder
-                doing("the record is written")
                 recorder.finish()
-                doing("")
         except StoreError as error:
             recorder.give_up(error)
     except BaseException:
@@ -111,7 +110,7 @@ class Recorder(Observer):
         blocks, self._waiting = self._waiting, []
         self._flushed = time.monotonic()
         if blocks:
-            with self._writing:
+            with self._written():
                 self._write(blocks)
         if self._ended is None:
             self._ended = time.monotonic()
@@ -140,10 +139,19 @@ class Recorder(Observer):
     def finish(self) -> None:
         """Write the rows that wait, how the run ended, and its metrics; the status is written last."""
         self.flush()
-        with self._writing:
+        with self._written():
             self._conclude()
             self.metrics = self.outcome.metrics
             self._close()
+
+    @contextlib.contextmanager
+    def _written(self) -> Iterator[None]:
+        with self._writing:
+            doing(f"{self.path} is written", WRITING)
+            try:
+                yield
+            finally:
+                doing("")
 
     def halt(self) -> str:
         """Finish it while another thread never returns: unless that happens to write, then what was flushed stays."""
