@@ -824,6 +824,33 @@ def test_means_of_angles_are_taken_on_the_circle(orch, tmp_path):
     assert abs(statistics["pairs"][0]["difference"]) == pytest.approx(180.0, abs=2.0)
 
 
+@pytest.mark.parametrize("kind", ["box", "ecdf", "parallel", "heatmap"])
+def test_figures_of_angles_have_no_seam(tmp_path, kind):
+    """Headings within two degrees of south, which are up to 358 apart as numbers, and one run that failed."""
+    runs = duel([179.0, -179.0, -178.5, 178.0], [178.5, -178.0, 179.5, FAILS])
+    runs = [run | {"components.vehicle.parameters.d": 1} for run in runs]  # the other factor of a heat map
+    folder = known(tmp_path, runs, of="heading_difference", unit="deg", ranked=False, turn=360.0)
+    judged = analysis.analyse(read_table(str(folder.parent), folder.name))
+    for name, n in (("a", 4), ("b", 3)):
+        numbers = figures.values(judged, name, judged.columns[0])
+        assert len(numbers) == n
+        assert np.ptp(numbers) < 4.0
+    axes = figures.figure(judged, kind).axes
+    if kind == "box":
+        low, high = axes[0].get_ylim()
+        assert high - low < 5.0
+    if kind == "ecdf":
+        low, high = axes[0].get_xlim()
+        assert high - low < 5.0
+    if kind == "parallel":
+        low, high = (float(end) for end in axes[0].get_xticklabels()[-1].get_text().partition("\n")[2].split(" .. "))
+        assert high - low < 5.0
+    if kind == "heatmap":
+        cells = [axis.images[0].get_array().compressed() for axis in axes[:2]]
+        assert [len(cell) for cell in cells] == [4, 3]  # the failed one has an x
+        assert np.ptp(np.concatenate([cell[np.isfinite(cell)] for cell in cells])) < 4.0
+
+
 def test_which_metrics_are_angles_is_in_the_sweep(orch, sweep, write):
     sweep["metrics"] = {
         "heading": {"of": "final", "signal": "vehicle.eta.psi", "unit": "deg"},

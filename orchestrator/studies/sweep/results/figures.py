@@ -12,6 +12,7 @@ import numpy as np
 
 from ....arrays import Reals
 from ....errors import StoreError, did_you_mean
+from ....metrics import on_circle
 from ....records.compare.side_by_side import Column
 from ....records.file.marks import DAGGER
 from ....views import figures
@@ -63,9 +64,23 @@ def figure(analysis: SweepAnalysis, kind: str = "box", over: Sequence[str] = ())
 
 
 def values(analysis: SweepAnalysis, contender: str, column: Column) -> Reals:
-    """The metric of a contender in the draws in which it has a number, (N,)."""
+    """The metric of a contender in the draws in which it has a number, (N,); angles without a seam among them."""
+    numbers = _numbers(analysis, contender, column)
+    return _together(analysis, column, numbers[np.isfinite(numbers)])
+
+
+def _numbers(analysis: SweepAnalysis, contender: str, column: Column) -> Reals:
     numbers: Reals = np.array([one.value for one in analysis.outcomes[contender, column].values()])
-    return numbers[np.isfinite(numbers)]
+    return numbers
+
+
+def _together(analysis: SweepAnalysis, column: Column, numbers: Reals) -> Reals:
+    """Angles within half a turn of the mean of all contenders, so that -179 lies beside 179; others as they are."""
+    if not column.turn:
+        return numbers
+    everything = np.concatenate([_numbers(analysis, name, column) for name in analysis.contenders])
+    center = statistics.mean(everything[np.isfinite(everything)], column.turn)
+    return center + on_circle(numbers - center, column.turn)
 
 
 def _name(analysis: SweepAnalysis, contender: str, column: Column) -> str:
@@ -186,7 +201,10 @@ def _cells(
     cells = np.full((len(sorts[1][1]), len(sorts[0][1])), np.nan)
     for place, numbers in by_cell.items():
         lost = 2 * numbers.count(math.inf) >= len(numbers)
-        cells[place] = math.inf if lost else statistics.median(np.array(sorted(numbers)), column.turn)
+        of = np.array(sorted(n for n in numbers if not column.turn or math.isfinite(n)))  # no angle is worse than any
+        cells[place] = math.inf if lost else statistics.median(of, column.turn)
+    finite = np.isfinite(cells)
+    cells[finite] = _together(analysis, column, cells[finite])
     return cells
 
 
@@ -215,6 +233,10 @@ def _parallel(analysis: SweepAnalysis) -> Figure:
         ).reshape(-1, len(names))
         for contender in analysis.contenders
     }
+    for lines in data.values():
+        for i, column in enumerate(analysis.columns, len(factors)):
+            finite = np.isfinite(lines[:, i])
+            lines[finite, i] = _together(analysis, column, lines[finite, i])
     everything = np.concatenate(list(data.values()))
     ranges = [_range(everything[:, i]) for i in range(len(names))]
     drawn = Figure(figsize=(max(6.0, 1.1 * len(names)), 4.5), layout="constrained")
