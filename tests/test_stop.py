@@ -15,6 +15,7 @@ from commands import DEADLINE, ORCH, poll
 from experiments import merged, single
 from fmu_files import PROBE_VARIABLES, SOURCES, needs_compiler, probe_fmu
 from orchestrator.models import build
+from peers.station import free_port
 
 SLOW = 0.6  # s; what the commands here take as long
 HANGS = 15  # mode of the probe
@@ -176,6 +177,51 @@ def test_an_fmu_on_trial_that_never_returns_is_reported_and_ends(start, write, t
     process.send_signal(signal.SIGTERM)
     ends(process)
     assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_component_that_waits_for_the_world_is_reported_and_ends_at_once(start, spiral, write, shipped, tmp_path):
+    """No ArduPilot answers."""
+    vehicle = {**spiral["components"]["vehicle"], "start": "fmu"}
+    connections = {f"ardusub.{name}": f"vehicle.{name}" for name in ("eta", "nu", "specific_force")}
+    table = {
+        "master": {"stop_time": 4.0, "step": 0.0025},
+        "components": {
+            "ardusub": {"builtin": "ardupilot_json", "parameters": {"port": free_port()}},
+            "vehicle": vehicle,
+        },
+        "connections": {**connections, "vehicle.u": "ardusub.u"},
+    }
+    process = start("run", write(table), "-o", "run.h5")
+    poll(lambda: "'ardusub' is in its step at t = 0 s, for " in said(process), process)
+    process.send_signal(signal.SIGTERM)
+    assert "run.h5: interrupted at t = " in ends(process)
+    assert rows(tmp_path / "run.h5")
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_a_write_that_takes_long_is_reported(python, write, endless):
+    write(single("clock"))
+    answer = python(
+        """
+import time
+import orchestrator as orch
+from orchestrator.records.file.recorder import Recorder
+
+conclude = Recorder._conclude
+
+
+def slowly(self):
+    time.sleep(1.5)
+    conclude(self)
+
+
+Recorder._conclude = slowly
+print(orch.run("mine.toml", output="slow.h5").status)
+""",
+        env={**os.environ, "ORCH_SLOW": str(SLOW)},
+    )
+    assert (answer.code, answer.out) == (0, "completed\n")
+    assert answer.err.startswith("slow.h5 is written, for 1 s now; Ctrl-C, pressed twice, ends it\n")
 
 
 # --- SIGTERM and SIGHUP -----------------------------------------------------------------------------------------------
