@@ -44,7 +44,8 @@ def build(
 
     names: of models, or paths of a user's .py files.  report: called with what is being done.  packaging: "native",
     "python", or "auto", which is native where there is a C compiler and the model is given as equations.
-    Returns {name: FMU}.  Raises BuildError, naming every model that failed and why; `.built` has the others.
+    Returns {name: FMU} in the order of `names`.  Raises BuildError, naming every model that failed and why; `.built`
+    has the others.
     """
     sources = _sources(names)
     compiler = None if packaging == "python" else compilers.find()
@@ -71,7 +72,7 @@ def build(
         except BuildError as error:
             error.built |= built
             raise
-    return built
+    return {name: built[name] for name in sources if name in built}
 
 
 def cross_build(names: Iterable[str], targets: Sequence[str], report: Callable[[str], None]) -> dict[str, Path]:
