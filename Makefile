@@ -18,6 +18,7 @@ fuzz: $(VENV)/.installed-dev
 	ORCH_FUZZ=10 $(BIN)/python -m pytest -n auto tests/test_kills.py tests/test_fuzz.py tests/test_isolation.py
 
 nightly: fuzz test-all # what takes longer than anybody waits for
+	ORCH_FUZZ=10 $(BIN)/python -m pytest tests/test_every_command.py
 	$(BIN)/python benchmarks/detector.py
 
 lint: $(VENV)/.installed-dev

@@ -53,7 +53,7 @@ def commands(number, seed, content):
     ]
     if number % 10 == 0:
         trials.insert(4, ["report", *run, "-o", "results/mutant.html"])
-        trials.insert(4, ["plot", *run, "-o", "results/mutant.svg"])
+        trials.insert(4, ["plot", *run, "--signals", "vehicle.eta.x", "-o", "results/mutant.svg"])
     return [(trial, (0, 2, 3)) for trial in trials]
 
 
