@@ -252,6 +252,16 @@ def test_a_marked_run_that_is_not_like_the_others_takes_no_best_from_them(compar
     assert (answer["metrics"][0]["best"], answer["notes"]) == ([store.ids["near"]], [])
 
 
+def test_the_only_run_that_may_be_compared_is_not_the_best_of_another_metric(compare, store, tmp_path):
+    experiment = merged(table((0.5, 0.0, 0.0)), {"master.stop_time": 0.1})
+    experiment["metrics"] = {"far_x": METRICS_OF_WAVES["far_x"]}
+    _, path = run(tmp_path, experiment)
+    wrong = changed(path, tmp_path / "wrong.h5", {"warnings": ["it is wrong"], "warning_kinds": ["unstable"]})
+    answer = compare("near", wrong, "--metrics", "far_x", "--json").json
+    assert answer["metrics"][0]["best"] == []
+    assert "far_x is not the same in all runs: window = 0 to 0.05 s or 0 to 0.1 s" in answer["notes"][0]
+
+
 def test_what_is_never_reached_is_later_than_any_time(compare, models, tmp_path):
     metrics = {"settled": {"of": "convergence_time", "signal": "one.eta.x", "band": 1.5}}
     soon, late = (run(tmp_path, {**table((x, 0.0, 0.0)), "metrics": metrics}) for x in (1.0, 2.0))

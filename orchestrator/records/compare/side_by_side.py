@@ -111,9 +111,19 @@ class Comparison:
         return [] if 1 < len(best) == len(values) else [self.entries[i] for i in best]
 
     def _alike(self, column: Column) -> bool:
-        """Whether those of the runs that may be compared have one and the same metric."""
-        compared = [e for e in self.entries if column in e.metrics and not e.marks_of(column)]
-        return not unlike(column.name, [e.attributes["experiment_resolved"] for e in compared])
+        """Whether these runs have one and the same metric."""
+        having = [(e, column) for e in self.entries if column in e.metrics]
+        return not unlike(column.name, _to_be_alike(having))
+
+
+def _to_be_alike(having: Sequence[tuple[Entry, Column]]) -> list[Mapping[str, Any]]:
+    """The experiments of the runs that may be compared or, where these are fewer than two, of all.
+
+    having: the runs that have a metric, with its column.
+    """
+    compared = [e for e, column in having if not e.marks_of(column)]
+    chosen = compared if len(compared) > 1 else [e for e, _ in having]
+    return [e.attributes["experiment_resolved"] for e in chosen]
 
 
 def _rounded(value: float) -> float:
@@ -229,8 +239,8 @@ def _notes(entries: Sequence[Entry], columns: Sequence[Column]) -> Iterator[str]
     """Metrics that share a name but are not one metric in all runs; and warnings that mark no number."""
     names: dict[str, list[str]] = {}  # {what is not the same: metrics}
     for name in dict.fromkeys(column.name for column in columns):
-        compared = [e for e in entries for column in e.metrics if column.name == name and not e.marks_of(column)]
-        if differences := unlike(name, [e.attributes["experiment_resolved"] for e in compared]):
+        having = [(e, column) for e in entries for column in e.metrics if column.name == name]
+        if differences := unlike(name, _to_be_alike(having)):
             names.setdefault(in_words(differences), []).append(name)
     for words, those in names.items():
         who = f"{', '.join(those)} {'is' if len(those) == 1 else 'are'}"
