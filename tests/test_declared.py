@@ -654,3 +654,13 @@ def test_steps_are_of_one_length_also_of_a_component_with_a_period_of_its_own(
     table["components"]["two"] = {"fmu": str(fixed), "start": "fmu"}
     run = orchestrator.run(write(table), results=tmp_path)
     assert (run["one.steps"][-1], run["two.steps"][-1]) == (2, 6)
+
+
+def test_a_quantity_is_also_that_of_the_declared_type(resolve, tmp_path):
+    path = paper_fmu(tmp_path / "turns.fmu", [("psi", "Real", "output", None, "rad")])
+    with zipfile.ZipFile(path) as archive:
+        xml = archive.read("modelDescription.xml").decode()
+    kind = '<SimpleType name="Heading"><Real quantity="angle"/></SimpleType></TypeDefinitions>'
+    xml = xml.replace("</TypeDefinitions>", kind).replace("<Real unit", '<Real declaredType="Heading" unit')
+    plan = resolve(alone(with_description(path, xml)))
+    assert plan.angles == {"one.psi"}

@@ -145,7 +145,7 @@ def read(description: Any, root: Any, structure: Mapping[str, int]) -> Iterator[
                 _limit(stated.get(v.name, {}).get("min"), -math.inf),
                 _limit(stated.get(v.name, {}).get("max"), math.inf),
             ),
-            quantity=v.quantity or "",
+            quantity=stated.get(v.name, {}).get("quantity", ""),
             relative=stated.get(v.name, {}).get("relativeQuantity") in ("true", "1"),
             fixed=v.variability == "constant",
         )

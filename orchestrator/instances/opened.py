@@ -55,7 +55,10 @@ def _look(event: str, arguments: tuple[Any, ...]) -> None:
     module = _module_of(sys._getframe(1))
     if not module:
         return
-    name = os.path.abspath(os.fsdecode(path))
+    try:
+        name = os.path.abspath(os.fsdecode(path))
+    except (OSError, ValueError):  # what a hook raises would end the model's call
+        return
     beside = (*SYSTEM, sys.prefix, sys.base_prefix, *(watch.own for watch in _watching))
     if name.startswith(beside) or name.endswith(PROGRAMS) or any(part in name for part in LIBRARIES):
         return
