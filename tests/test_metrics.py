@@ -257,6 +257,15 @@ def test_metrics_of_a_run_are_those_of_the_signals(orch, write, waves, tmp_path)
     assert lines["nowhere"][:4] == ["no", "sample", "in", "its"]
 
 
+def test_a_metric_of_a_single_sample_is_a_warning(orch, write, waves):
+    """A run shortened by --set: the window begins where it ends.  `final` is of one sample by definition."""
+    window = {"signal": "one.ramp", "after": 0.1}
+    path = write(merged(waves, {"metrics": {of: {"of": of, **window} for of in ("rms", "final")}}))
+    answer = orch("run", path, "--json").json
+    assert answer["warnings"] == ["metrics.rms is of a single sample: no more fall into its window"]
+    assert answer["metrics"]["rms"] == answer["metrics"]["final"]
+
+
 def test_check_notes_a_window_that_no_sample_falls_into(orch, write, waves):
     window = {"of": "rms", "signal": "one.ramp"}
     path = write(merged(waves, {"metrics": {"late": {**window, "after": 0.2}, "last": {**window, "after": 0.1}}}))

@@ -12,6 +12,7 @@ from experiments import merged
 from fmu_files import SOURCES
 from orchestrator import open_run, run
 from orchestrator.models import build
+from orchestrator.records.file.run import Run
 from orchestrator.runs.prepare import prepare
 from orchestrator.runs.runner import execute
 from orchestrator.simulation.observer import Observer
@@ -237,12 +238,19 @@ def test_an_interrupted_run_with_noise_that_is_small_beside_what_it_rides_on_is_
     assert result.warnings == []
 
 
-def test_an_interruption_during_the_comparison_leaves_the_run_completed(loop, write, tmp_path):
-    result = execute(prepare(write(loop(gain=1.5))), tmp_path / "record.h5", observers=[InterruptAt(500)])
-    assert result.status == "completed"
+def test_a_run_whose_comparison_is_interrupted_is_repeated(loop, write, tmp_path):
+    """Else the wrong numbers of an unstable loop would be recalled as those of a completed run."""
+    plan, store = prepare(write(loop(gain=1.5))), tmp_path / "results"
+    result = execute(plan, results=store, observers=[InterruptAt(500)])
+    assert result.status == "interrupted"
+    assert result.error == "every row is there, but the comparison with shorter steps was interrupted"
     (warning,) = result.warnings
     assert warning.kind == "unchecked"
     assert "because the comparison was interrupted" in warning
+    with Run(result.file) as record:
+        assert (record.status, record.time[-1]) == ("interrupted", plan.experiment.master.stop_time)
+    again = execute(plan, results=store)
+    assert (again.status, again.repeated, [w.kind for w in again.warnings]) == ("completed", True, ["unstable"])
 
 
 def test_an_fmu_that_takes_no_other_step_leaves_the_cause_open(loop, warnings):

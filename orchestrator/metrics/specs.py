@@ -99,7 +99,7 @@ class Meter:
         self._turn = _turn(unit) if wraps and len(self._ends) > 1 and not self._metric.axes else 0.0
         self._factor = 1.0 if self._metric.axes else _factor(spec.get("unit", unit), unit)
         self._accumulator = self._metric.accumulator(**{name: spec[name] for name in ARGUMENTS if name in spec})
-        self._empty = True
+        self._samples = 0
 
     def update(self, tick: int, time: Reals, samples: Mapping[str, Reals]) -> None:
         """The values at consecutive ticks from `tick`.  time: (n,) [s]; samples: {signal: (n,)}."""
@@ -114,7 +114,7 @@ class Meter:
             return
         window = slice(first, last, self._every)
         time = time[window]
-        self._empty = False
+        self._samples += len(time)
         if self._metric.axes:
             vectors = [np.array([self._of(name, samples[name][window]) for name in names]) for names in self._ends]
             self._accumulator.update(time, *vectors)
@@ -134,10 +134,12 @@ class Meter:
     def result(self) -> float:
         """The metric of the samples so far; nan where none fell into the window: a run shortened by --set
         master.stop_time keeps its other metrics."""
-        return math.nan if self._empty else float(self._accumulator.result())
+        return math.nan if not self._samples else float(self._accumulator.result())
 
     def warning(self) -> str:
         """What makes the result doubtful, or ""."""
+        if self._samples == 1 and self._metric.accumulator is not accumulators.Final:
+            return "is of a single sample: no more fall into its window"
         return self._accumulator.warning()
 
 

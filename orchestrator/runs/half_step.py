@@ -27,7 +27,7 @@ from .checkpoint.file import Checkpoint
 from .checkpoint.resume import resume
 
 PARTS = {2: "half the step", 4: "a quarter of the step", 8: "an eighth of the step", 16: "a sixteenth of the step"}
-INTERRUPTED = "the comparison was interrupted (orch run --force makes it)"
+INTERRUPTED = "the comparison was interrupted"
 
 Loops = Mapping[int, Sequence[Suspect]]  # the outputs that move fast, by loop
 
@@ -58,6 +58,9 @@ def judge(plan: Plan, outcome: Outcome, bursts: Bursts, interrupt: Interrupt, so
         loops = {loop: fast for loop, fast in loops.items() if shorter.verdicts[loop] is StabilityVerdict.LOCKED}
         if not loops:
             break
+    if obstacle == INTERRUPTED:  # then the record is none of a completed run: the same command makes the comparison
+        outcome.status = "interrupted"
+        outcome.error = "every row is there, but the comparison with shorter steps was interrupted"
     for loop, fast in loops.items():  # nothing has decided
         if not obstacle:
             found[loop] = _switching(plan, bursts, fast)
