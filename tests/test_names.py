@@ -106,3 +106,14 @@ def test_every_command_takes_names_that_mean_something_else_in_a_record(orch, wr
         assert np.array_equal(named[f"c{i}.{name}"], times)
         (field,) = (key for key, full in matlab["names"][f"c{i}"].items() if full == f"c{i}.{name}")
         assert np.array_equal(matlab[f"c{i}"][field], times)
+
+
+@needs_compiler
+def test_signals_of_a_component_whose_name_begins_with_an_underscore_are_listed(orch, write, tmp_path):
+    fmu = odd_fmu(tmp_path / "odd.fmu", "y")
+    assert orch("run", write(single(fmu, name="_a")), "--output", "a.h5").code == 0
+    with Run(tmp_path / "a.h5") as run:
+        assert np.array_equal(run["_a.y"], run.time)
+    for name in ("_envelope", "_heard", "time"):
+        answer = orch("run", write(single(fmu, name=name)), "--output", "b.h5")
+        assert (answer.code, "is reserved for the record" in answer.err) == (2, True)
