@@ -1,7 +1,6 @@
 """Tuning: equal budgets, studies that go on, fragments that run, held-out draws."""
 
 import csv
-import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -224,7 +223,7 @@ def test_what_was_tuned_runs_as_a_sweep_on_no_draw_of_its_trials(orch, tuning, w
     assert len(seen) == 4
     assert {run.attributes["step"] for run in trials} == {1e-3, 5e-4}
     for run in trials:
-        given = json.loads(run.fact("controller", "parameters"))
+        given = run.fact("controller", "parameters")
         assert given["K_d.y"] == 30.0
         assert (given.get("K_i.x") == 2.0) == (run.fact("controller", "fmu") == "pid")
     compared = rows_of(answer.json["final"]["table"])
