@@ -553,6 +553,8 @@ def test_there_is_no_object_where_no_metric_asks_for_a_distance_over_a_window(ch
     def forget(file):
         resolved = json.loads(file.attrs["experiment_resolved"])
         resolved["metrics"] = {n: s for n, s in resolved["metrics"].items() if s["of"] != "distance"}
+        stored = json.loads(file.attrs["metrics"])
+        file.attrs["metrics"] = json.dumps({n: value for n, value in stored.items() if n in resolved["metrics"]})
         file.attrs["experiment_resolved"] = json.dumps(resolved)
 
     run = changed(gripping_run, forget)

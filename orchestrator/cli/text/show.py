@@ -272,7 +272,7 @@ def fmu(fmu: Fmu) -> str:
         ("FMI", f"{fmu.fmi_version}, co-simulation, {fmu.packaging} packaging ({fmu.tool})"),
         ("capabilities", ", ".join(able) or "none"),
         *(
-            [("default experiment", ", ".join(f"{k} {v}" for k, v in fmu.default_experiment.items()))]
+            [("experiment", ", ".join(f"{k} {v}" for k, v in fmu.default_experiment.items()))]
             * bool(fmu.default_experiment)
         ),
         *(("data file", f"{name} {digest[:10]}") for name, digest in fmu.data_files.items()),
