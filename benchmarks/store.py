@@ -59,6 +59,7 @@ def fill(store: Path, records: int) -> list[str]:
             "digest": digest,
             "seed": i,
             "experiment_resolved": json.dumps(resolved),
+            OMITTED: "{}",
             "metrics": json.dumps({name: chance.random() for name in json.loads(attributes["metrics"])}),
         }
         with h5py.File(place / f"{digest[:10]}.h5", "w", libver=("earliest", "v108")) as file:

@@ -14,7 +14,7 @@ from typing import Any
 
 import h5py
 
-from ....errors import OrchError
+from ....errors import OrchError, StoreError
 from ....plan.plan import Plan
 from ....plan.resolve import resolve
 from ....records.file.access import UNREADABLE
@@ -167,7 +167,7 @@ def _stored(storage: Storage, name: str, plan: Plan, keep: str) -> PointResult |
                 warnings=standing.kinds,
                 fresh=False,
             )
-    except UNREADABLE:
+    except (StoreError, *UNREADABLE):
         return None
 
 
