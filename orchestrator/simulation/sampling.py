@@ -7,7 +7,7 @@ counted from the first tick, not from where the loop happened to pause: the same
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,12 @@ from ..plan.limits import Limit, Reference, limits_of, references_of
 from ..warning import Kind, Warned
 from .system import System
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
+
 BLOCK = 1 << 13  # ticks
-STRIDE = BLOCK + 8  # from signal to signal in the buffer: powers of two would share the lines of a cache
+ROOM = 2 * BLOCK  # ticks: while the loop fills one block, the metrics of the other are taken
+STRIDE = ROOM + 8  # from signal to signal in the buffer: powers of two would share the lines of a cache
 LIMIT = np.dtype([("kind", "i8"), ("place", "i8"), ("low", "f8"), ("high", "f8")])  # kind: its place in NUMBERS
 ANGLE = np.dtype([("place", "i8"), ("turn", "f8"), ("before", "f8")])
 
@@ -51,13 +55,15 @@ class WatchedProgram(NamedTuple):
 class Samples:
     """Samples of a run, and the metrics that are taken of them; begins with the initial values.
 
-    The values at tick k are column (k - first) % BLOCK of the buffer; a chunk of steps ends where a block does.
+    The values at tick k are column (k - first) % ROOM of the buffer; a chunk of steps ends where a block does.
     """
 
     def __init__(self, system: System):
         plan = system.plan
         self._system, self._first, self._done = system, plan.first, plan.first
         self._reached = plan.first
+        self._pool: ThreadPoolExecutor | None = None
+        self._block: Future[None] | None = None
         self._names = [f"{component}.{variable.name}" for component, variable in plan.measured]
         self._kinds = np.array([NUMBERS.index(v.kind) for _, v in plan.measured], dtype=np.int64)
         self._places = np.array([system.places[c, v.name] for c, v in plan.measured], dtype=np.intp)
@@ -80,7 +86,7 @@ class Samples:
 
     def take(self, tick: int) -> None:
         """The values at `tick`, as they are now."""
-        column = (tick - self._first) % BLOCK
+        column = (tick - self._first) % ROOM
         for table, chosen, places in self._of_kind:
             self._values[chosen, column] = table[places]
         if len(self._bounded):
@@ -107,12 +113,15 @@ class Samples:
     def evaluate(self, tick: int) -> None:
         """All steps until `tick` are done."""
         self._reached = tick
-        if (tick + 1 - self._first) % BLOCK == 0:
-            self._update()
+        if self._names and (tick + 1 - self._first) % BLOCK == 0:
+            self._begin(tick)
 
     def results(self) -> dict[str, float]:
-        """The metrics of the steps that are done."""
-        self._update()
+        """The metrics of the steps that are done; the run has ended."""
+        self._end()
+        if self._pool is not None:
+            self._pool.shutdown()
+        self._update(self._reached)
         return {name: meter.result() for name, meter in self._meters.items()}
 
     def warnings(self) -> list[str]:
@@ -125,20 +134,36 @@ class Samples:
             places=self._places,
             values=self._values,
             stride=STRIDE,
-            block=BLOCK,
+            block=ROOM,
             first=self._first,
             bounded=self._bounded,
             least=self._least,
             largest=self._largest,
         )
 
-    def _update(self) -> None:
-        """Take the metrics of what has come since the last time."""
-        n = self._reached + 1 - self._done
+    def _begin(self, reached: int) -> None:
+        """Take the metrics of a block that ends with this tick, beside the loop, which fills the other one."""
+        if self._pool is None:
+            from concurrent.futures import ThreadPoolExecutor  # most runs have less than a block
+
+            self._pool = ThreadPoolExecutor(1)
+        self._end()
+        self._block = self._pool.submit(self._update, reached)
+
+    def _end(self) -> None:
+        """Wait until the metrics of the last block are taken."""
+        if self._block is not None:
+            self._block.result()
+            self._block = None
+
+    def _update(self, reached: int) -> None:
+        """Take the metrics of what has come since the last time, until this tick."""
+        n = reached + 1 - self._done
         if not self._names or n <= 0:
             return
         time = self._system.plan.experiment.grid.times(self._done, self._done + n)
-        samples = dict(zip(self._names, self._values[:, :n], strict=True))
+        column = (self._done - self._first) % ROOM
+        samples = dict(zip(self._names, self._values[:, column : column + n], strict=True))
         for meter in self._meters.values():
             meter.update(self._done, time, samples)
         self._done += n
