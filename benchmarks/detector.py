@@ -39,7 +39,7 @@ from orchestrator.warning import Kind, Warned
 ROOT = Path(__file__).parent.parent
 EXPERIMENT = ROOT / "experiments" / "spiral_pid.toml"
 SENSOR = ROOT / "tests" / "fmus" / "noisy_sensor.py"
-SEED = 15  # of the runs that the thresholds were measured on, once; they were fixed on others
+SEED = 16  # of the runs that the thresholds were measured on, once; they were fixed on others
 CHANGE, SMALL = 0.2, 0.01
 LIMITS = {  # s, about; docs/thesis.md
     "pid": 2e-3,
